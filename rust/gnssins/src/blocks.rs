@@ -1,0 +1,210 @@
+//! Error-state blocks as data: what a filter estimates beside position, velocity and attitude.
+
+use crate::error::Error;
+
+/// Most states that one block has (a full misalignment matrix).
+pub const BLOCK_MAX: usize = 6;
+
+/// What a block describes. All are errors of a measurement: see [`crate::nav`] for the sign.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
+pub enum BlockKind {
+    /// Gyro bias, rad/s, body axes.
+    GyroBias,
+    /// Accelerometer bias, m/s², body axes.
+    AccelBias,
+    /// Gyro scale factor error, dimensionless, per axis.
+    GyroScale,
+    /// Accelerometer scale factor error, dimensionless, per axis.
+    AccelScale,
+    /// Gyro misalignment, rad: elements xy, xz, yx, yz, zx, zy of the error matrix.
+    GyroMisalignment,
+    /// Accelerometer misalignment, rad: elements xy, xz, yx, yz, zx, zy of the error matrix.
+    AccelMisalignment,
+    /// IMU to GNSS antenna, m, body axes.
+    GnssLeverArm,
+    /// Barometric height error, m.
+    BaroBias,
+    /// Time-correlated GNSS position error along north, east, down, m.
+    GnssPositionError,
+    /// Time-correlated GNSS velocity error along north, east, down, m/s.
+    GnssVelocityError,
+}
+
+const XYZ: &[&str] = &["x", "y", "z"];
+const NED: &[&str] = &["n", "e", "d"];
+const OFF_DIAGONAL: &[&str] = &["xy", "xz", "yx", "yz", "zx", "zy"];
+/// Row and column of the off-diagonal elements in the order of the misalignment states.
+const OFF_DIAGONAL_INDEX: [(usize, usize); 6] = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)];
+
+impl BlockKind {
+    /// Number of states.
+    #[must_use]
+    pub const fn len(self) -> usize {
+        self.axes().len()
+    }
+
+    /// Never: every block has states.
+    #[must_use]
+    pub const fn is_empty(self) -> bool {
+        false
+    }
+
+    /// Suffixes of the state names.
+    #[must_use]
+    pub const fn axes(self) -> &'static [&'static str] {
+        match self {
+            Self::GyroMisalignment | Self::AccelMisalignment => OFF_DIAGONAL,
+            Self::GnssPositionError | Self::GnssVelocityError => NED,
+            Self::BaroBias => &["up"],
+            _ => XYZ,
+        }
+    }
+
+    /// SI unit of the states.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::GyroBias => "rad/s",
+            Self::AccelBias => "m/s^2",
+            Self::GyroScale | Self::AccelScale => "1",
+            Self::GyroMisalignment | Self::AccelMisalignment => "rad",
+            Self::GnssLeverArm | Self::BaroBias | Self::GnssPositionError => "m",
+            Self::GnssVelocityError => "m/s",
+        }
+    }
+
+    /// Name in configurations.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::GyroBias => "gyro_bias",
+            Self::AccelBias => "accel_bias",
+            Self::GyroScale => "gyro_scale",
+            Self::AccelScale => "accel_scale",
+            Self::GyroMisalignment => "gyro_misalignment",
+            Self::AccelMisalignment => "accel_misalignment",
+            Self::GnssLeverArm => "gnss_lever_arm",
+            Self::BaroBias => "baro_bias",
+            Self::GnssPositionError => "gnss_position_error",
+            Self::GnssVelocityError => "gnss_velocity_error",
+        }
+    }
+
+    /// Where state `i` of the block acts.
+    #[must_use]
+    pub(crate) const fn coupling(self, i: usize) -> Coupling {
+        match self {
+            Self::GyroBias => Coupling::Gyro(Input { axis: i, source: Source::Unit }),
+            Self::AccelBias => Coupling::Accel(Input { axis: i, source: Source::Unit }),
+            Self::GyroScale => Coupling::Gyro(Input { axis: i, source: Source::Component(i) }),
+            Self::AccelScale => Coupling::Accel(Input { axis: i, source: Source::Component(i) }),
+            Self::GyroMisalignment => Coupling::Gyro(off_diagonal(i)),
+            Self::AccelMisalignment => Coupling::Accel(off_diagonal(i)),
+            Self::GnssLeverArm => Coupling::LeverArm(i),
+            Self::BaroBias => Coupling::Baro,
+            Self::GnssPositionError => Coupling::GnssPosition(i),
+            Self::GnssVelocityError => Coupling::GnssVelocity(i),
+        }
+    }
+}
+
+const fn off_diagonal(i: usize) -> Input {
+    let (axis, column) = OFF_DIAGONAL_INDEX[i % 6];
+    Input { axis, source: Source::Component(column) }
+}
+
+/// How one inertial error state acts: on sensor `axis`, by the factor `source`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Input {
+    pub axis: usize,
+    pub source: Source,
+}
+
+/// Factor of an inertial error state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Source {
+    /// A bias: the state itself.
+    Unit,
+    /// A matrix element: the state times this component of the true rate or specific force.
+    Component(usize),
+}
+
+/// Where a block state enters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Coupling {
+    Gyro(Input),
+    Accel(Input),
+    LeverArm(usize),
+    Baro,
+    GnssPosition(usize),
+    GnssVelocity(usize),
+}
+
+/// How the states of a block move by themselves. Arrays hold one value per state; the rest is ignored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Process {
+    /// Does not change.
+    Constant,
+    /// Random walk with these densities, unit²/s.
+    RandomWalk {
+        /// Spectral density of the driving white noise, unit²/s.
+        psd: [f64; BLOCK_MAX],
+    },
+    /// First-order Gauss-Markov, x' = -x/tau + w, stationary standard deviation `sd`.
+    GaussMarkov {
+        /// Stationary standard deviation, unit.
+        sd: [f64; BLOCK_MAX],
+        /// Correlation time, s.
+        tau_s: [f64; BLOCK_MAX],
+    },
+}
+
+/// A block: kind, process, start. A sum of processes (a constant bias and a Gauss-Markov drift) is two blocks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Block {
+    /// What it describes.
+    pub kind: BlockKind,
+    /// How it moves.
+    pub process: Process,
+    /// Standard deviation at the start, unit.
+    pub initial_sd: [f64; BLOCK_MAX],
+    /// Parameter value at the start, unit.
+    pub initial: [f64; BLOCK_MAX],
+}
+
+impl Block {
+    /// A block with the same numbers on every axis that starts at zero.
+    #[must_use]
+    pub const fn isotropic(kind: BlockKind, process: Process, initial_sd: f64) -> Self {
+        Self { kind, process, initial_sd: [initial_sd; BLOCK_MAX], initial: [0.0; BLOCK_MAX] }
+    }
+
+    /// Refuses numbers that make no filter.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming the value.
+    pub fn check(&self) -> Result<(), Error> {
+        let all = |what, values: &[f64; BLOCK_MAX], ok: fn(f64) -> bool, need| {
+            values[..self.kind.len()]
+                .iter()
+                .find(|v| !ok(**v))
+                .map_or(Ok(()), |&got| Err(Error::Config { what, need, got }))
+        };
+        const POSITIVE: &str = "must be finite and greater than 0 (leave the block out to keep it fixed)";
+        let positive: fn(f64) -> bool = |v| v.is_finite() && v > 0.0;
+        all("block.initial_sd", &self.initial_sd, positive, POSITIVE)?;
+        all("block.initial", &self.initial, f64::is_finite, "must be finite")?;
+        match &self.process {
+            Process::Constant => Ok(()),
+            Process::RandomWalk { psd } => {
+                all("block.psd", psd, positive, "must be finite and greater than 0")
+            }
+            Process::GaussMarkov { sd, tau_s } => {
+                all("block.sd", sd, positive, "must be finite and greater than 0")?;
+                all("block.tau_s", tau_s, positive, "must be finite and greater than 0")
+            }
+        }
+    }
+}

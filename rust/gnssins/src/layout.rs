@@ -1,0 +1,162 @@
+//! From an ordered list of blocks to state indices: which state couples where, decays how, is driven by what.
+
+use crate::blocks::{BLOCK_MAX, Block, BlockKind, Coupling, Input, Process, Source};
+use crate::error::Error;
+use crate::math;
+use crate::nav::NAV;
+use nalgebra::{Matrix3, Vector3};
+
+/// Most blocks in one filter.
+pub const BLOCKS_MAX: usize = 16;
+
+/// One state behind the navigation errors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct BlockState {
+    pub coupling: Coupling,
+    /// -1/tau, or 0: 1/s.
+    pub decay: f64,
+    /// Density of a random walk, unit²/s, or 0.
+    pub psd: f64,
+    /// Stationary variance of a Gauss-Markov process, unit², or 0.
+    pub variance: f64,
+}
+
+/// Where each block sits. States 0 to 8 are the navigation errors, blocks follow in the order given.
+#[derive(Debug, Clone, Copy)]
+pub struct Layout<const CAP: usize> {
+    n: usize,
+    blocks: [Option<(Block, usize)>; BLOCKS_MAX],
+    states: [Option<BlockState>; CAP],
+}
+
+impl<const CAP: usize> Layout<CAP> {
+    /// Lays out a block list.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] when the states or blocks do not fit, [`Error::Config`] for a bad value in a block.
+    pub fn new(blocks: &[Block]) -> Result<Self, Error> {
+        let n = NAV + blocks.iter().map(|b| b.kind.len()).sum::<usize>();
+        if n > CAP {
+            return Err(Error::Capacity { need: n, capacity: CAP });
+        }
+        if blocks.len() > BLOCKS_MAX {
+            return Err(Error::Config {
+                what: "filter.block (count)",
+                need: "at most 16 blocks",
+                got: blocks.len() as f64,
+            });
+        }
+        let mut layout = Self { n, blocks: [None; BLOCKS_MAX], states: [None; CAP] };
+        let mut start = NAV;
+        for (slot, block) in layout.blocks.iter_mut().zip(blocks) {
+            block.check()?;
+            *slot = Some((*block, start));
+            for (i, state) in layout.states.iter_mut().skip(start).take(block.kind.len()).enumerate() {
+                *state = Some(BlockState::new(block, i));
+            }
+            start += block.kind.len();
+        }
+        Ok(layout)
+    }
+
+    /// Number of states, the nine navigation errors included.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.n
+    }
+
+    /// Never: the navigation errors are always there.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// The blocks with the index of their first state.
+    pub fn blocks(&self) -> impl Iterator<Item = (&Block, usize)> {
+        self.blocks.iter().flatten().map(|(b, i)| (b, *i))
+    }
+
+    /// First state of the first block of a kind.
+    #[must_use]
+    pub fn find(&self, kind: BlockKind) -> Option<usize> {
+        self.blocks().find(|(b, _)| b.kind == kind).map(|(_, i)| i)
+    }
+
+    /// Block states with their indices.
+    pub(crate) fn states(&self) -> impl Iterator<Item = (usize, &BlockState)> {
+        self.states.iter().enumerate().filter_map(|(i, s)| s.as_ref().map(|s| (i, s)))
+    }
+
+    /// Sum of the parameters of all lever-arm blocks, m.
+    pub(crate) fn lever_arm(&self, x: &[f64; CAP]) -> Vector3<f64> {
+        let mut sum = Vector3::zeros();
+        for (i, s) in self.states() {
+            if let Coupling::LeverArm(axis) = s.coupling {
+                sum[axis] += x[i];
+            }
+        }
+        sum
+    }
+
+    /// Bias and error matrix of the gyros and of the accelerometers that the parameters `x` stand for.
+    pub(crate) fn sensor_errors(&self, x: &[f64; CAP]) -> [SensorError; 2] {
+        let mut errors = [SensorError::default(); 2];
+        for (i, s) in self.states() {
+            let (which, Input { axis, source }) = match s.coupling {
+                Coupling::Gyro(input) => (0, input),
+                Coupling::Accel(input) => (1, input),
+                _ => continue,
+            };
+            match source {
+                Source::Unit => errors[which].bias[axis] += x[i],
+                Source::Component(c) => errors[which].matrix[(axis, c)] += x[i],
+            }
+        }
+        errors
+    }
+
+    /// A number that differs between layouts, for saved states.
+    #[must_use]
+    pub fn fingerprint(&self) -> u64 {
+        // FNV-1a over kinds and process classes
+        self.blocks().fold(0xcbf2_9ce4_8422_2325, |hash, (b, i)| {
+            let process = match b.process {
+                Process::Constant => 0,
+                Process::RandomWalk { .. } => 1,
+                Process::GaussMarkov { .. } => 2,
+            };
+            [b.kind as u64, process, i as u64]
+                .iter()
+                .fold(hash, |h, v| (h ^ v).wrapping_mul(0x0000_0100_0000_01b3))
+        })
+    }
+}
+
+/// Error of one sensor triad: measured = (I + matrix) true + bias.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct SensorError {
+    pub bias: Vector3<f64>,
+    pub matrix: Matrix3<f64>,
+}
+
+impl BlockState {
+    fn new(block: &Block, i: usize) -> Self {
+        let at = |values: &[f64; BLOCK_MAX]| values[i.min(BLOCK_MAX - 1)];
+        let (decay, psd, variance) = match &block.process {
+            Process::Constant => (0.0, 0.0, 0.0),
+            Process::RandomWalk { psd } => (0.0, at(psd), 0.0),
+            Process::GaussMarkov { sd, tau_s } => (-1.0 / at(tau_s), 0.0, at(sd) * at(sd)),
+        };
+        Self { coupling: block.kind.coupling(i), decay, psd, variance }
+    }
+
+    /// Transition over `dt_s` and the noise variance Q that makes d²(P + Q/2) + Q/2 exact: for Gauss-Markov
+    /// Q = 2 sd² (1 - d²)/(1 + d²), d = exp(-dt/tau), so that P = sd² stays.
+    pub(crate) fn discrete(&self, dt_s: f64) -> (f64, f64) {
+        if self.decay == 0.0 {
+            return (1.0, self.psd * dt_s);
+        }
+        let d = math::exp(self.decay * dt_s);
+        (d, 2.0 * self.variance * (1.0 - d * d) / (1.0 + d * d))
+    }
+}

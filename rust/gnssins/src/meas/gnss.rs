@@ -1,0 +1,135 @@
+//! GNSS position and velocity, together or alone, with lever arm and full covariance.
+
+use nalgebra::Vector3;
+
+use super::{BadReason, Measurement, Rows, View};
+use crate::blocks::{Coupling, Source};
+use crate::frames::Lla;
+use crate::nav::{Aid, NAV, NavModel};
+use crate::small::{self, ROWS_MAX, Square};
+
+/// A fix of the antenna. Components: position north, east, down (m), velocity north, east, down (m/s).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GnssFix {
+    /// Time of validity, ns.
+    pub t_ns: i64,
+    /// Geodetic position of the antenna.
+    pub position: Option<Lla>,
+    /// Velocity of the antenna against the Earth along north, east, down, m/s; a receiver may lack some.
+    pub velocity_n: [Option<f64>; 3],
+    /// Covariance of the six components, m², m²/s and m²/s²; rows of absent components are ignored.
+    pub covariance: Square,
+}
+
+impl GnssFix {
+    /// Components present.
+    fn present(&self) -> [bool; ROWS_MAX] {
+        let p = self.position.is_some();
+        let [vn, ve, vd] = self.velocity_n.map(|v| v.is_some());
+        [p, p, p, vn, ve, vd]
+    }
+
+    fn check_values(&self) -> Result<(), BadReason> {
+        if let Some(p) = self.position {
+            if !p.is_valid() {
+                return Err(BadReason::Value);
+            }
+            if p.lat_rad == 0.0 && p.lon_rad == 0.0 {
+                return Err(BadReason::NoFix);
+            }
+        }
+        if self.velocity_n.iter().flatten().any(|v| !v.is_finite()) {
+            return Err(BadReason::Value);
+        }
+        Ok(())
+    }
+}
+
+/// Largest asymmetry of a covariance, relative to its diagonal, that counts as rounding.
+const ASYMMETRY: f64 = 1e-6;
+
+/// Checks the sub-matrix of the present components and returns it.
+fn check_covariance(full: &Square, component: &[usize; ROWS_MAX], len: usize) -> Result<Square, BadReason> {
+    let mut r = [[0.0; ROWS_MAX]; ROWS_MAX];
+    for i in 0..len {
+        for j in 0..len {
+            let (a, b) = (full[component[i]][component[j]], full[component[j]][component[i]]);
+            let scale = full[component[i]][component[i]].abs().max(full[component[j]][component[j]].abs());
+            if !scale.is_finite() || (a - b).abs() > ASYMMETRY * scale {
+                return Err(BadReason::Covariance);
+            }
+            r[i][j] = 0.5 * (a + b);
+        }
+    }
+    small::cholesky(&r, len).ok_or(BadReason::Covariance).map(|_| r)
+}
+
+impl Measurement for GnssFix {
+    fn t_ns(&self) -> i64 {
+        self.t_ns
+    }
+
+    fn rows<M: NavModel, const CAP: usize>(&self, view: &View<M, CAP>) -> Result<Rows<CAP>, BadReason> {
+        self.check_values()?;
+        let present = self.present();
+        let mut component = [0; ROWS_MAX];
+        let mut len = 0;
+        for (c, _) in present.iter().enumerate().filter(|(_, p)| **p) {
+            component[len] = c;
+            len += 1;
+        }
+        if len == 0 {
+            return Err(BadReason::Empty);
+        }
+        let r = check_covariance(&self.covariance, &component, len)?;
+
+        let position = self.position.map(|p| view.model.position_aid(&view.lever_b_m, &p));
+        let measured_v = Vector3::from(self.velocity_n.map(|v| v.unwrap_or(0.0)));
+        let velocity = present[3..].iter().any(|p| *p).then(|| {
+            view.model.velocity_aid(&view.lever_b_m, &view.w_ib_b, &measured_v, self.position.as_ref())
+        });
+        let mut rows = Rows { len, y: [0.0; ROWS_MAX], h: [[0.0; CAP]; ROWS_MAX], r, component };
+        for row in 0..len {
+            let (aid, axis) = match component[row] {
+                c @ 0..3 => (position.as_ref(), c),
+                c => (velocity.as_ref(), c - 3),
+            };
+            if let Some(aid) = aid {
+                fill(&mut rows, row, aid, axis, view);
+            }
+        }
+        Ok(rows)
+    }
+}
+
+/// One row: the navigation part from the aid, the block parts from the layout.
+fn fill<M, const CAP: usize>(rows: &mut Rows<CAP>, row: usize, aid: &Aid, axis: usize, view: &View<M, CAP>) {
+    let component = rows.component[row];
+    let h = &mut rows.h[row];
+    rows.y[row] = aid.y[axis];
+    for (j, value) in h.iter_mut().take(NAV).enumerate() {
+        *value = aid.h[(axis, j)];
+    }
+    for (j, state) in view.layout.states() {
+        match state.coupling {
+            Coupling::Gyro(input) => {
+                let factor = match input.source {
+                    Source::Unit => 1.0,
+                    Source::Component(k) => view.w_ib_b[k],
+                };
+                h[j] = aid.h_gyro[(axis, input.axis)] * factor;
+            }
+            Coupling::LeverArm(k) => h[j] = aid.h_lever[(axis, k)],
+            // measured = true + error + noise, predicted = model + estimated error
+            Coupling::GnssPosition(k) if component == k => {
+                h[j] = -1.0;
+                rows.y[row] += view.params[j];
+            }
+            Coupling::GnssVelocity(k) if component == k + 3 => {
+                h[j] = -1.0;
+                rows.y[row] += view.params[j];
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! NED mechanisation: latitude, longitude, height, velocity and attitude against north, east, down.
+//!
+//! ENU is this model under one constant rotation: a proper rotation turns `phi`, `dv` and `dp` alike.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use super::{
+    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, finite,
+    half_turn, lever_velocity,
+};
+use crate::attitude::{self, skew};
+use crate::earth::{Radii, transport_rate_n};
+use crate::error::Error;
+use crate::frames::{Lla, wrap_pi};
+use crate::imu::Strap;
+use crate::math;
+
+/// Largest latitude of the model, rad (89.9 degrees): beyond it tan(latitude) spoils the transport rate.
+pub const LATITUDE_LIMIT_RAD: f64 = 1.569_051_3;
+
+/// State of the NED mechanisation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ned {
+    earth: EarthModel,
+    position: Lla,
+    v_n: Vector3<f64>,
+    q_nb: UnitQuaternion<f64>,
+    c_nb: Matrix3<f64>,
+}
+
+/// Earth quantities at one point, computed once per step.
+struct Point {
+    sin_lat: f64,
+    cos_lat: f64,
+    tan_lat: f64,
+    height_m: f64,
+    /// Radii of curvature, not including the height.
+    radii: Radii,
+    w_ie_n: Vector3<f64>,
+}
+
+impl Point {
+    fn new(earth: &EarthModel, lat_rad: f64, height_m: f64) -> Self {
+        let (sin_lat, cos_lat) = math::sin_cos(lat_rad);
+        Self {
+            sin_lat,
+            cos_lat,
+            tan_lat: sin_lat / cos_lat,
+            height_m,
+            radii: earth.ellipsoid.radii(sin_lat),
+            w_ie_n: earth.ellipsoid.earth_rate_n(sin_lat, cos_lat),
+        }
+    }
+
+    fn transport_rate(&self, v_n: &Vector3<f64>) -> Vector3<f64> {
+        transport_rate_n(&self.radii, self.tan_lat, self.height_m, v_n)
+    }
+
+    /// R_M + h and R_N + h, m.
+    fn scales(&self) -> (f64, f64) {
+        (self.radii.meridian_m + self.height_m, self.radii.prime_vertical_m + self.height_m)
+    }
+}
+
+impl Ned {
+    fn check(position: &Lla, v_n: &Vector3<f64>, q_nb: &UnitQuaternion<f64>) -> Result<(), Error> {
+        finite("position", &[position.lat_rad, position.lon_rad, position.height_m])?;
+        finite("velocity", v_n.as_slice())?;
+        finite("attitude", q_nb.coords.as_slice())?;
+        if position.lat_rad.abs() > LATITUDE_LIMIT_RAD {
+            return Err(Error::LatitudeLimit { lat_rad: position.lat_rad, limit_rad: LATITUDE_LIMIT_RAD });
+        }
+        Ok(())
+    }
+
+    /// Error dynamics with every term of the coordinate equations: transport rate and its change with
+    /// velocity, latitude (radii included) and height, Coriolis, gravity gradient. Derived in the metre form
+    /// dp = [(R_M+h) dL, (R_N+h) cosL dlon, -dh]; compare Groves (2013), eq. 14.63-14.71, in radians.
+    fn dynamics_at(
+        &self,
+        point: &Point,
+        v: &Vector3<f64>,
+        f_n: &Vector3<f64>,
+        c_nb: &Matrix3<f64>,
+    ) -> Dynamics {
+        let ellipsoid = &self.earth.ellipsoid;
+        let (s, c, t) = (point.sin_lat, point.cos_lat, point.tan_lat);
+        let (m, n) = point.scales();
+        let rate = ellipsoid.radii_rate(s, c);
+        let w = ellipsoid.omega_rad_s;
+        let (vn, ve, vd) = (v.x, v.y, v.z);
+
+        // d(w_ie)/d(dp): only latitude, dL = dp_N / M
+        let dw_ie = Matrix3::new(-w * s / m, 0.0, 0.0, 0.0, 0.0, 0.0, -w * c / m, 0.0, 0.0);
+        // d(w_en)/d(dv)
+        let dw_dv = Matrix3::new(0.0, 1.0 / n, 0.0, -1.0 / m, 0.0, 0.0, 0.0, -t / n, 0.0);
+        // d(w_en)/d(dp): latitude with the change of the radii, height with dh = -dp_D
+        let (nn, mm) = (n * n, m * m);
+        let dw_dp = Matrix3::new(
+            -ve * rate.prime_vertical_m / (nn * m),
+            0.0,
+            ve / nn,
+            vn * rate.meridian_m / (mm * m),
+            0.0,
+            -vn / mm,
+            (ve * t * rate.prime_vertical_m / nn - ve / (n * c * c)) / m,
+            0.0,
+            -ve * t / nn,
+        );
+        let w_en = point.transport_rate(v);
+        let w_in = point.w_ie_n + w_en;
+        let v_x = skew(v);
+        let (g_lat, g_h) = ellipsoid.gravity_rates_n(self.earth.gravity, s, c, point.height_m);
+
+        let mut f = Matrix9::zeros();
+        f.fixed_view_mut::<3, 3>(PHI, PHI).copy_from(&-skew(&w_in));
+        f.fixed_view_mut::<3, 3>(PHI, DV).copy_from(&dw_dv);
+        f.fixed_view_mut::<3, 3>(PHI, DP).copy_from(&(dw_ie + dw_dp));
+        f.fixed_view_mut::<3, 3>(DV, PHI).copy_from(&skew(f_n));
+        f.fixed_view_mut::<3, 3>(DV, DV).copy_from(&(v_x * dw_dv - skew(&(w_in + point.w_ie_n))));
+        let mut gradient = Matrix3::zeros();
+        gradient.set_column(0, &(g_lat / m));
+        gradient.set_column(2, &-g_h);
+        f.fixed_view_mut::<3, 3>(DV, DP).copy_from(&(v_x * (2.0 * dw_ie + dw_dp) + gradient));
+        f.fixed_view_mut::<3, 3>(DP, DV).copy_from(&Matrix3::identity());
+        f.fixed_view_mut::<3, 3>(DP, DP).copy_from(&Matrix3::new(
+            -vd / m,
+            0.0,
+            vn / m,
+            ve * t / n,
+            -(vn * t + vd) / n,
+            ve / n,
+            0.0,
+            0.0,
+            0.0,
+        ));
+        Dynamics { f, c: *c_nb }
+    }
+}
+
+impl NavModel for Ned {
+    const NAME: &'static str = "ned";
+
+    fn new(earth: EarthModel, solution: &Solution) -> Result<Self, Error> {
+        let Solution { position, v_n, q_nb } = *solution;
+        Self::check(&position, &v_n, &q_nb)?;
+        let q_nb = attitude::renormalise(&q_nb);
+        Ok(Self { earth, position, v_n, q_nb, c_nb: attitude::dcm(&q_nb) })
+    }
+
+    fn solution(&self) -> Solution {
+        Solution { position: self.position, v_n: self.v_n, q_nb: self.q_nb }
+    }
+
+    fn step(&mut self, strap: &Strap) -> Result<Dynamics, Error> {
+        let dt = strap.dt_s;
+        let Lla { lat_rad, lon_rad, height_m } = self.position;
+        let v = self.v_n;
+        // Earth at the middle of the interval, predicted with the velocity of its start
+        let start = self.earth.ellipsoid.radii(math::sin(lat_rad));
+        let point = Point::new(
+            &self.earth,
+            lat_rad + 0.5 * dt * v.x / (start.meridian_m + height_m),
+            height_m - 0.5 * dt * v.z,
+        );
+        let g_n =
+            self.earth.ellipsoid.gravity_n(self.earth.gravity, point.sin_lat, point.cos_lat, point.height_m);
+        let acceleration = |v: &Vector3<f64>, w_en: &Vector3<f64>| g_n - (2.0 * point.w_ie_n + w_en).cross(v);
+
+        let cu = self.c_nb * strap.u;
+        let v_half = v + 0.5 * (cu + dt * acceleration(&v, &point.transport_rate(&v)));
+        let w_en = point.transport_rate(&v_half);
+        let dv_f = half_turn(&(point.w_ie_n + w_en), dt, &cu);
+        let v_new = v + dv_f + dt * acceleration(&v_half, &w_en);
+        let v_mean = 0.5 * (v + v_new);
+
+        let (m, n) = point.scales();
+        let position = Lla {
+            lat_rad: lat_rad + dt * v_mean.x / m,
+            lon_rad: wrap_pi(lon_rad + dt * v_mean.y / (n * point.cos_lat)),
+            height_m: height_m - dt * v_mean.z,
+        };
+        let w_in = point.w_ie_n + point.transport_rate(&v_mean);
+        let q_nb =
+            attitude::renormalise(&(attitude::exp(&(-dt * w_in)) * self.q_nb * attitude::exp(&strap.alpha)));
+        Self::check(&position, &v_new, &q_nb)?;
+        let c_new = attitude::dcm(&q_nb);
+        let dynamics = self.dynamics_at(&point, &v_mean, &(dv_f / dt), &(0.5 * (self.c_nb + c_new)));
+        *self = Self { earth: self.earth, position, v_n: v_new, q_nb, c_nb: c_new };
+        Ok(dynamics)
+    }
+
+    fn dynamics(&self, f_b: &Vector3<f64>) -> Dynamics {
+        let point = Point::new(&self.earth, self.position.lat_rad, self.position.height_m);
+        self.dynamics_at(&point, &self.v_n, &(self.c_nb * f_b), &self.c_nb)
+    }
+
+    fn correct(&mut self, x: &Vector9) {
+        let point = Point::new(&self.earth, self.position.lat_rad, self.position.height_m);
+        let (m, n) = point.scales();
+        self.position.lat_rad -= x[DP] / m;
+        self.position.lon_rad = wrap_pi(self.position.lon_rad - x[DP + 1] / (n * point.cos_lat));
+        self.position.height_m += x[DP + 2];
+        self.v_n -= x.fixed_rows::<3>(DV);
+        let phi: Vector3<f64> = x.fixed_rows::<3>(PHI).into();
+        self.q_nb = attitude::renormalise(&(attitude::exp(&phi) * self.q_nb));
+        self.c_nb = attitude::dcm(&self.q_nb);
+    }
+
+    fn position_aid(&self, lever_b: &Vector3<f64>, measured: &Lla) -> Aid {
+        let point = Point::new(&self.earth, self.position.lat_rad, self.position.height_m);
+        let (m, n) = point.scales();
+        let arm = self.c_nb * lever_b;
+        let y = arm
+            + Vector3::new(
+                (self.position.lat_rad - measured.lat_rad) * m,
+                wrap_pi(self.position.lon_rad - measured.lon_rad) * n * point.cos_lat,
+                measured.height_m - self.position.height_m,
+            );
+        let mut h = Matrix3x9::zeros();
+        h.fixed_columns_mut::<3>(PHI).copy_from(&skew(&arm));
+        h.fixed_columns_mut::<3>(DP).copy_from(&Matrix3::identity());
+        Aid { y, h, h_gyro: Matrix3::zeros(), h_lever: -self.c_nb }
+    }
+
+    fn velocity_aid(
+        &self,
+        lever_b: &Vector3<f64>,
+        w_ib_b: &Vector3<f64>,
+        measured: &Vector3<f64>,
+        _at: Option<&Lla>,
+    ) -> Aid {
+        let point = Point::new(&self.earth, self.position.lat_rad, self.position.height_m);
+        let (m, _) = point.scales();
+        let lever = lever_velocity(&self.c_nb, lever_b, w_ib_b, &point.w_ie_n);
+        let w = self.earth.ellipsoid.omega_rad_s;
+        // the Earth rate turns with latitude, dL = dp_N / (R_M + h)
+        let dw_ie = Vector3::new(-w * point.sin_lat / m, 0.0, -w * point.cos_lat / m);
+        let mut h = Matrix3x9::zeros();
+        h.fixed_columns_mut::<3>(PHI).copy_from(&lever.h_phi);
+        h.fixed_columns_mut::<3>(DV).copy_from(&Matrix3::identity());
+        h.set_column(DP, &-dw_ie.cross(&(self.c_nb * lever_b)));
+        Aid { y: self.v_n + lever.velocity - measured, h, h_gyro: lever.h_gyro, h_lever: lever.h_lever }
+    }
+
+    fn to_ned_errors(&self) -> Option<Matrix9> {
+        None
+    }
+
+    fn pack(&self) -> [f64; 10] {
+        let (p, v, q) = (&self.position, &self.v_n, &self.q_nb);
+        [p.lat_rad, p.lon_rad, p.height_m, v.x, v.y, v.z, q.w, q.i, q.j, q.k]
+    }
+
+    fn unpack(&mut self, p: &[f64; 10]) {
+        self.position = Lla { lat_rad: p[0], lon_rad: p[1], height_m: p[2] };
+        self.v_n = Vector3::new(p[3], p[4], p[5]);
+        self.q_nb = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(p[6], p[7], p[8], p[9]));
+        self.c_nb = attitude::dcm(&self.q_nb);
+    }
+}

@@ -75,17 +75,19 @@ impl<const CAP: usize> Covariance<CAP> {
             }
         }
         // cross block: W D, and its mirror
+        let d = &t.blocks.diagonal;
         for i in 0..NAV {
             for j in NAV..n {
-                let value = w[i][j] * t.diagonal[j];
+                let value = w[i][j] * d[j];
                 self.set(i, j, value);
             }
         }
         // block by block: D P D
-        for i in NAV..n {
-            let d = t.diagonal[i];
-            for j in NAV..n {
-                self.p[i][j] *= d * t.diagonal[j];
+        if t.blocks.decays {
+            for i in NAV..n {
+                for j in NAV..n {
+                    self.p[i][j] *= d[i] * d[j];
+                }
             }
         }
         t.add_half_noise(&mut self.p);
@@ -191,14 +193,17 @@ impl<const CAP: usize> Covariance<CAP> {
 }
 
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
-    let mut lanes = [0.0; LANES];
-    for (x, y) in a.chunks_exact(LANES).zip(b.chunks_exact(LANES)) {
-        for ((l, x), y) in lanes.iter_mut().zip(x).zip(y) {
-            *l += x * y;
+    let mut sum = [0.0; LANES];
+    for (x, y) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
+        for ((s, x), y) in sum.iter_mut().zip(x).zip(y) {
+            *s += x * y;
         }
     }
-    lanes.iter().sum()
+    sum.iter().sum()
 }
+
+/// Columns that the product keeps in registers beside three rows of factors.
+const TILE: usize = 4;
 
 /// Nine rows times a matrix with `n` rows in use. Three rows at a time share each load of `b`.
 fn multiply_rows<const CAP: usize>(
@@ -207,23 +212,21 @@ fn multiply_rows<const CAP: usize>(
     n: usize,
 ) -> [[f64; CAP]; NAV] {
     let mut out = [[0.0; CAP]; NAV];
-    for (a3, out3) in a.chunks_exact(3).zip(out.chunks_exact_mut(3)) {
-        let mut start = 0;
-        while start < n {
-            let mut acc = [[0.0; LANES]; 3];
-            for (k, row) in b.iter().enumerate().take(n) {
-                let lanes = &row[start..start + LANES];
-                for (acc, a) in acc.iter_mut().zip(a3) {
-                    let factor = a[k];
-                    for (c, x) in acc.iter_mut().zip(lanes) {
-                        *c += factor * x;
-                    }
+    for (a3, out3) in a.as_chunks::<3>().0.iter().zip(out.as_chunks_mut::<3>().0) {
+        let [a0, a1, a2] = a3;
+        for tile in 0..n.div_ceil(TILE) {
+            let [mut c0, mut c1, mut c2] = [[0.0; TILE]; 3];
+            for (((row, f0), f1), f2) in b.iter().zip(a0).zip(a1).zip(a2).take(n) {
+                let x = &row.as_chunks::<TILE>().0[tile];
+                for j in 0..TILE {
+                    c0[j] += f0 * x[j];
+                    c1[j] += f1 * x[j];
+                    c2[j] += f2 * x[j];
                 }
             }
-            for (o, acc) in out3.iter_mut().zip(&acc) {
-                o[start..start + LANES].copy_from_slice(acc);
+            for (o, c) in out3.iter_mut().zip([c0, c1, c2]) {
+                o.as_chunks_mut::<TILE>().0[tile] = c;
             }
-            start += LANES;
         }
     }
     out

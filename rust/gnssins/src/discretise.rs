@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::blocks::{Coupling, Input, Source};
 use crate::error::Error;
 use crate::layout::Layout;
-use crate::nav::{DV, Dynamics, Matrix9, Matrix9x3, NAV, PHI};
+use crate::nav::{DV, Dynamics, Matrix9, NAV, PHI};
 
 /// Highest power of F dt in the series of the transition matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -45,48 +45,101 @@ pub struct ImuNoise {
     pub accel_psd: Vector3<f64>,
 }
 
+/// Transition and noise of the block states over one interval length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BlockStep<const CAP: usize> {
+    dt_s: f64,
+    /// Whether any state decays.
+    pub(crate) decays: bool,
+    /// Diagonal of Phi over the block states; 1 before them.
+    pub diagonal: [f64; CAP],
+    /// Noise variances over the interval, unit².
+    pub q: [f64; CAP],
+}
+
+impl<const CAP: usize> BlockStep<CAP> {
+    /// For intervals of `dt_s`.
+    #[must_use]
+    pub fn new(layout: &Layout<CAP>, dt_s: f64) -> Self {
+        let (mut diagonal, mut q) = ([1.0; CAP], [0.0; CAP]);
+        for (j, state) in layout.states() {
+            (diagonal[j], q[j]) = state.discrete(dt_s);
+        }
+        Self { dt_s, decays: diagonal.iter().any(|d| *d < 1.0), diagonal, q }
+    }
+
+    /// Makes it fit another interval length; nothing is computed while the length stays.
+    pub(crate) fn fit(&mut self, layout: &Layout<CAP>, dt_s: f64) {
+        if self.dt_s != dt_s {
+            *self = Self::new(layout, dt_s);
+        }
+    }
+}
+
 /// The upper nine rows of Phi (the rest is diagonal) and the process noise of one interval.
 #[derive(Debug, Clone, Copy)]
 pub struct Transition<const CAP: usize> {
     /// Rows 0 to 8 of Phi over all states.
     pub top: [[f64; CAP]; NAV],
-    /// Diagonal of Phi over the block states; 1 before them.
-    pub diagonal: [f64; CAP],
+    /// The rest of Phi, and the noise of the block states.
+    pub blocks: BlockStep<CAP>,
     /// Noise of the attitude errors over the interval, rad².
     pub q_phi: Matrix3<f64>,
     /// Noise of the velocity errors over the interval, m²/s².
     pub q_dv: Matrix3<f64>,
-    /// Noise of the block states over the interval, unit².
-    pub q_blocks: [f64; CAP],
 }
 
-/// Series coefficients of a coupling column: Phi_nb = c1 + a c2 + a² c3 with the decay rate a.
-struct Column {
-    c1: Matrix9x3,
-    c2: Matrix9x3,
-    c3: Matrix9x3,
+/// Width of a row of [F | gyro coupling | accelerometer coupling], padded to whole vector registers.
+const WIDTH: usize = 16;
+/// First column of the gyro coupling in such a row.
+const GYRO: usize = NAV;
+/// First column of the accelerometer coupling.
+const ACCEL: usize = NAV + 3;
+
+/// Nine rows of [F | gyro coupling | accelerometer coupling] or of their products with F.
+type Wide = [[f64; WIDTH]; NAV];
+
+fn widen(dynamics: &Dynamics) -> Wide {
+    let (gyro, accel) = (dynamics.gyro_coupling(), dynamics.accel_coupling());
+    core::array::from_fn(|i| {
+        core::array::from_fn(|j| match j {
+            0..GYRO => dynamics.f[(i, j)],
+            GYRO..ACCEL => gyro[(i, j - GYRO)],
+            ACCEL..15 => accel[(i, j - ACCEL)],
+            _ => 0.0,
+        })
+    })
 }
 
-impl Column {
-    fn new(f: &Matrix9, g: &Matrix9x3, dt: f64, order: Order) -> Self {
-        let (h2, h3) = (dt * dt / 2.0, dt * dt * dt / 6.0);
-        let mut column = Self { c1: g * dt, c2: Matrix9x3::zeros(), c3: Matrix9x3::zeros() };
-        if order != Order::First {
-            let fg = f * g;
-            column.c1 += fg * h2;
-            column.c2 += g * h2;
-            if order == Order::Third {
-                column.c1 += f * fg * h3;
-                column.c2 += fg * h3;
-                column.c3 += g * h3;
+/// F times nine rows; about half of F is zero and is skipped.
+fn times_f(f: &Matrix9, x: &Wide) -> Wide {
+    let mut out = [[0.0; WIDTH]; NAV];
+    for (i, row) in out.iter_mut().enumerate() {
+        for (k, x) in x.iter().enumerate() {
+            let a = f[(i, k)];
+            if a != 0.0 {
+                for (o, x) in row.iter_mut().zip(x) {
+                    *o += a * x;
+                }
             }
         }
-        column
     }
+    out
+}
+
+/// `a x + b y`, element by element.
+fn combine(a: f64, x: &Wide, b: f64, y: &Wide) -> Wide {
+    let mut out = [[0.0; WIDTH]; NAV];
+    for ((o, x), y) in out.iter_mut().zip(x).zip(y) {
+        for ((o, x), y) in o.iter_mut().zip(x).zip(y) {
+            *o = a * x + b * y;
+        }
+    }
+    out
 }
 
 impl<const CAP: usize> Transition<CAP> {
-    /// Discretises the dynamics of mid-interval over `dt_s`. `w_b` and `f_b` are the true mean rate (rad/s) and
+    /// Discretises the dynamics of mid-interval over the interval of `blocks`. `w_b` and `f_b` are the true mean rate (rad/s) and
     /// specific force (m/s²), with which scale factor and misalignment states act.
     ///
     /// Phi by series of F dt; block states exactly, d = exp(-dt/tau). Q is the density times the interval; the
@@ -98,49 +151,53 @@ impl<const CAP: usize> Transition<CAP> {
         noise: &ImuNoise,
         w_b: &Vector3<f64>,
         f_b: &Vector3<f64>,
-        dt_s: f64,
+        blocks: &BlockStep<CAP>,
         order: Order,
     ) -> Self {
         let Dynamics { f, c } = dynamics;
-        let mut nn = f * dt_s;
-        if order != Order::First {
-            let ff = f * f;
-            nn += ff * (dt_s * dt_s / 2.0);
-            if order == Order::Third {
-                nn += f * ff * (dt_s * dt_s * dt_s / 6.0);
+        let dt = blocks.dt_s;
+        // F^k [F | g]: the series of Phi_nn, and of a coupling column with decay rate a,
+        // Phi_nb = c1 + a c2 + a² c3, c1 = g dt + F g dt²/2 + F² g dt³/6, c2 = g dt²/2 + F g dt³/6, c3 = g dt³/6
+        let (h2, h3) = (dt * dt / 2.0, dt * dt * dt / 6.0);
+        let x1 = widen(dynamics);
+        let zero = [[0.0; WIDTH]; NAV];
+        let (x2, x3, h2, h3) = match order {
+            Order::First => (zero, zero, 0.0, 0.0),
+            Order::Second => (times_f(f, &x1), zero, h2, 0.0),
+            Order::Third => {
+                let x2 = times_f(f, &x1);
+                (x2, times_f(f, &x2), h2, h3)
             }
-        }
-        nn += Matrix9::identity();
+        };
+        let c2 = combine(h2, &x1, h3, &x2);
+        let c1 = combine(1.0, &combine(dt, &x1, h2, &x2), h3, &x3);
 
         let mut top = [[0.0; CAP]; NAV];
-        for (i, row) in top.iter_mut().enumerate() {
-            for (j, value) in row.iter_mut().take(NAV).enumerate() {
-                *value = nn[(i, j)];
-            }
+        for (i, (row, c1)) in top.iter_mut().zip(&c1).enumerate() {
+            row[..NAV].copy_from_slice(&c1[..NAV]);
+            row[i] += 1.0;
         }
-        let gyro = Column::new(f, &dynamics.gyro_coupling(), dt_s, order);
-        let accel = Column::new(f, &dynamics.accel_coupling(), dt_s, order);
-        let mut diagonal = [1.0; CAP];
-        let mut q_blocks = [0.0; CAP];
         for (j, state) in layout.states() {
-            (diagonal[j], q_blocks[j]) = state.discrete(dt_s);
-            let (column, Input { axis, source }, true_value) = match state.coupling {
-                Coupling::Gyro(input) => (&gyro, input, w_b),
-                Coupling::Accel(input) => (&accel, input, f_b),
+            let (start, Input { axis, source }, true_value) = match state.coupling {
+                Coupling::Gyro(input) => (GYRO, input, w_b),
+                Coupling::Accel(input) => (ACCEL, input, f_b),
                 _ => continue,
             };
             let factor = match source {
                 Source::Unit => 1.0,
                 Source::Component(k) => true_value[k],
             };
-            let a = state.decay;
-            for (i, row) in top.iter_mut().enumerate() {
-                row[j] =
-                    factor * (column.c1[(i, axis)] + a * (column.c2[(i, axis)] + a * column.c3[(i, axis)]));
+            let (k, a) = (start + axis, state.decay);
+            for i in 0..NAV {
+                top[i][j] = factor * (c1[i][k] + a * (c2[i][k] + a * h3 * x1[i][k]));
             }
         }
-        let turned = |psd: &Vector3<f64>| c * Matrix3::from_diagonal(&(psd * dt_s)) * c.transpose();
-        Self { top, diagonal, q_phi: turned(&noise.gyro_psd), q_dv: turned(&noise.accel_psd), q_blocks }
+        // the halves of a product and of its transpose: symmetric to the last bit
+        let turned = |psd: &Vector3<f64>| {
+            let q = c * Matrix3::from_diagonal(&(psd * dt)) * c.transpose();
+            0.5 * (q + q.transpose())
+        };
+        Self { top, blocks: *blocks, q_phi: turned(&noise.gyro_psd), q_dv: turned(&noise.accel_psd) }
     }
 
     /// Adds half of the process noise to a covariance.
@@ -152,7 +209,7 @@ impl<const CAP: usize> Transition<CAP> {
                 }
             }
         }
-        for (i, q) in self.q_blocks.iter().enumerate() {
+        for (i, q) in self.blocks.q.iter().enumerate() {
             p[i][i] += 0.5 * q;
         }
     }

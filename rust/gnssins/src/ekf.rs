@@ -6,7 +6,7 @@ use crate::attitude::{self, skew};
 use crate::blocks::Block;
 use crate::bytes::{Reader, Writer};
 use crate::cov::Covariance;
-use crate::discretise::{ImuNoise, Order, Transition};
+use crate::discretise::{BlockStep, ImuNoise, Order, Transition};
 use crate::error::Error;
 use crate::imu::{Calibration, Coning, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
@@ -99,6 +99,7 @@ pub struct Ekf<M, const CAP: usize> {
     params: [f64; CAP],
     cov: Covariance<CAP>,
     sensors: [Calibration; 2],
+    block_step: BlockStep<CAP>,
     previous: Option<ImuDelta>,
     w_ib_b: Vector3<f64>,
 }
@@ -123,6 +124,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             Some(p) if dof > 0 => small::chi_square_quantile(dof, p),
             _ => f64::INFINITY,
         });
+        let block_step = BlockStep::new(&layout, 0.0);
         let mut ekf = Self {
             model,
             layout,
@@ -132,6 +134,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             params,
             cov,
             sensors: [Calibration::default(); 2],
+            block_step,
             previous: None,
             w_ib_b: Vector3::zeros(),
         };
@@ -259,15 +262,21 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             accel_psd: self.settings.noise.accel_psd + extra.accel_psd,
         };
         let (w_b, f_b) = (delta.dtheta / dt_s, delta.dvel / dt_s);
-        let transition =
-            Transition::new(&dynamics, &self.layout, &noise, &w_b, &f_b, dt_s, self.settings.order);
+        self.block_step.fit(&self.layout, dt_s);
+        let transition = Transition::new(
+            &dynamics,
+            &self.layout,
+            &noise,
+            &w_b,
+            &f_b,
+            &self.block_step,
+            self.settings.order,
+        );
         self.cov.predict(&transition);
-        let mut decays = false;
-        for (p, d) in self.params.iter_mut().zip(&transition.diagonal) {
-            *p *= d;
-            decays |= *d < 1.0;
-        }
-        if decays {
+        if self.block_step.decays {
+            for (p, d) in self.params.iter_mut().zip(&self.block_step.diagonal) {
+                *p *= d;
+            }
             self.refresh_sensors()?;
         }
         self.t_ns = t_ns;
@@ -286,10 +295,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     ///
     /// # Errors
     /// [`Error::Covariance`] when the covariance is no longer positive definite: the filter must not be used on.
+    /// [`Error::Future`] for a measurement that is valid after the filter's time.
     pub fn update(&mut self, row: u64, measurement: &impl Measurement) -> Result<Record, Error> {
         let t_ns = measurement.t_ns();
         if t_ns < self.t_ns {
             return Ok(Record::unevaluated(row, t_ns, Status::Late));
+        }
+        if t_ns > self.t_ns {
+            return Err(Error::Future { t_ns, filter_ns: self.t_ns });
         }
         let view = View {
             model: &self.model,
@@ -363,8 +376,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         self.cov.check(self.t_ns)
     }
 
-    /// Moves the error estimate into the state. The attitude error is then measured from another estimate:
-    /// Exp(phi⁺) = Exp(phi_hat)... gives phi⁺ = (I + [phi_hat x]/2)(phi - phi_hat), so P turns with it.
+    /// Moves the error estimate into the state. The attitude error is then measured from another estimate,
+    /// Exp(-phi⁺) = Exp(phi_hat) Exp(-phi), so phi⁺ = (I + [phi_hat x]/2)(phi - phi_hat): P turns with it.
     fn feed_back(&mut self, x: &[f64; CAP]) -> Result<(), Error> {
         let nav = Vector9::from_iterator(x.iter().take(NAV).copied());
         self.model.correct(&nav);
@@ -443,7 +456,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// [`Error::SavedState`] when the buffer is shorter than [`Ekf::saved_len`].
     pub fn save(&self, out: &mut Writer<'_>) -> Result<(), Error> {
         out.u64(self.layout.len() as u64)?;
-        out.u64(self.layout.fingerprint())?;
+        out.u64(self.layout.fingerprint(M::NAME))?;
         out.i64(self.t_ns)?;
         out.f64s(&self.model.pack())?;
         out.f64s(&self.params[NAV..self.layout.len()])?;
@@ -462,16 +475,17 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// Restores a state that a filter of the same model and blocks saved.
     ///
     /// # Errors
-    /// [`Error::SavedState`] when the bytes belong to another layout or are cut short; the filter is then unchanged.
+    /// [`Error::SavedState`] when the bytes belong to another model or layout or are cut short, and what
+    /// [`NavModel::unpack`] refuses; the filter is then unchanged.
     pub fn restore(&mut self, saved: &mut Reader<'_>) -> Result<(), Error> {
         let mut next = self.clone();
         let n = self.layout.len();
         saved.expect("number of states", n as u64)?;
-        saved.expect("block list", self.layout.fingerprint())?;
+        saved.expect("model and block list", self.layout.fingerprint(M::NAME))?;
         next.t_ns = saved.i64()?;
         let mut packed = [0.0; 10];
         saved.f64s(&mut packed)?;
-        next.model.unpack(&packed);
+        next.model.unpack(&packed)?;
         saved.f64s(&mut next.params[NAV..n])?;
         for i in 0..n {
             for j in 0..=i {
@@ -489,6 +503,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         next.previous = some.then_some(ImuDelta { dt_s: dt[0], dtheta, dvel });
         next.w_ib_b = w;
         next.refresh_sensors()?;
+        next.cov.check(next.t_ns)?;
         *self = next;
         Ok(())
     }

@@ -2,8 +2,8 @@
 
 use thiserror::Error as ThisError;
 
-/// Why an operation was refused. Nothing is changed by a call that returns an error, except where
-/// the variant says so.
+/// Why an operation was refused. Row counts still balance after an error; the filter keeps the last state that it
+/// reached, and after [`Error::Covariance`] must not be used on.
 #[derive(Debug, Clone, Copy, PartialEq, ThisError)]
 #[non_exhaustive]
 pub enum Error {
@@ -50,6 +50,14 @@ pub enum Error {
         t_ns: i64,
         /// The stamp before it, ns.
         previous_ns: i64,
+    },
+    /// A measurement is valid after the filter's time: propagate first.
+    #[error("measurement valid at {t_ns} ns, the filter stands at {filter_ns} ns")]
+    Future {
+        /// Time of validity, ns.
+        t_ns: i64,
+        /// Time of the filter, ns.
+        filter_ns: i64,
     },
     /// The IMU was silent for longer than the configuration allows.
     #[error("IMU row {row}: no sample from {from_ns} ns to {to_ns} ns, limit {limit_ns} ns")]
@@ -103,6 +111,7 @@ impl Error {
             Error::NonFinite { .. } => "state.non_finite",
             Error::LatitudeLimit { .. } => "state.latitude",
             Error::TimeBackwards { .. } => "time.backwards",
+            Error::Future { .. } => "time.future",
             Error::Gap { .. } => "gap.imu",
             Error::Covariance { .. } => "cov.not_positive_definite",
             Error::QueueFull { .. } => "time.queue_full",
@@ -124,6 +133,7 @@ impl Error {
                 "set [imu] on_backwards = \"sort\" or \"drop\", or check the logger's clock"
             }
             Error::Gap { .. } => "raise [imu] max_gap_s, set on_gap = \"bridge\", or cut the run at the gap",
+            Error::Future { .. } => "feed IMU data up to the measurement first, or use stream::Navigator",
             Error::Covariance { .. } => {
                 "check initial sigmas and noise densities for extreme ratios, and the measurement covariance"
             }

@@ -52,6 +52,9 @@ impl Calibration {
     /// [`Error::Config`] when `I + matrix` cannot be inverted or a value is not finite.
     pub fn new(bias: Vector3<f64>, matrix: Matrix3<f64>) -> Result<Self, Error> {
         let need = "I + matrix must be invertible and finite";
+        if matrix == Matrix3::zeros() && bias.iter().all(|v| v.is_finite()) {
+            return Ok(Self { bias, ..Self::default() });
+        }
         let full = Matrix3::identity() + matrix;
         let det = full.determinant();
         let ok = bias.iter().all(|v| v.is_finite()) && det.is_finite() && det.abs() > 1e-6;
@@ -60,7 +63,7 @@ impl Calibration {
             need,
             got: det,
         })?;
-        Ok(Self { bias, inverse, identity: matrix == Matrix3::zeros() })
+        Ok(Self { bias, inverse, identity: false })
     }
 
     /// True rate from a measured one.

@@ -115,19 +115,20 @@ impl<const CAP: usize> Layout<CAP> {
         errors
     }
 
-    /// A number that differs between layouts, for saved states.
+    /// A number that differs between models and layouts, for saved states.
     #[must_use]
-    pub fn fingerprint(&self) -> u64 {
-        // FNV-1a over kinds and process classes
-        self.blocks().fold(0xcbf2_9ce4_8422_2325, |hash, (b, i)| {
+    pub fn fingerprint(&self, model: &str) -> u64 {
+        // FNV-1a over the model's name, kinds and process classes
+        const PRIME: u64 = 0x0000_0100_0000_01b3;
+        let start =
+            model.bytes().fold(0xcbf2_9ce4_8422_2325, |h: u64, v| (h ^ u64::from(v)).wrapping_mul(PRIME));
+        self.blocks().fold(start, |hash, (b, i)| {
             let process = match b.process {
                 Process::Constant => 0,
                 Process::RandomWalk { .. } => 1,
                 Process::GaussMarkov { .. } => 2,
             };
-            [b.kind as u64, process, i as u64]
-                .iter()
-                .fold(hash, |h, v| (h ^ v).wrapping_mul(0x0000_0100_0000_01b3))
+            [b.kind as u64, process, i as u64].iter().fold(hash, |h, v| (h ^ v).wrapping_mul(PRIME))
         })
     }
 }

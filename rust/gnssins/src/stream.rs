@@ -200,11 +200,37 @@ pub struct Navigator<M, const CAP: usize> {
     ekf: Ekf<M, CAP>,
     settings: StreamSettings,
     last: Option<Last>,
-    usual_dt_ns: i64,
+    intervals: Intervals,
     saturated: bool,
     pending: [Option<(u64, GnssFix)>; PENDING_MAX],
     imu: Counts,
     gnss: Counts,
+}
+
+/// Intervals that the usual one is taken from.
+const INTERVALS: usize = 9;
+
+/// The latest IMU intervals. Their median is the usual one: a single gap or jittered stamp does not move it, a lasting
+/// change of rate does after a few rows.
+#[derive(Debug, Clone, Copy)]
+struct Intervals {
+    recent: [i64; INTERVALS],
+    next: usize,
+}
+
+impl Intervals {
+    fn push(&mut self, dt_ns: i64) {
+        self.recent[self.next % INTERVALS] = dt_ns;
+        self.next = (self.next + 1) % INTERVALS;
+    }
+
+    /// Median, ns, or `None` while fewer than three are known.
+    fn usual_ns(&self) -> Option<i64> {
+        let mut sorted = self.recent;
+        sorted.sort_unstable();
+        let known = sorted.iter().filter(|dt| **dt > 0).count();
+        (known >= 3).then(|| sorted[INTERVALS - known + known / 2])
+    }
 }
 
 /// One IMU interval on its way to the filter.
@@ -227,7 +253,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             ekf,
             settings,
             last: None,
-            usual_dt_ns: 0,
+            intervals: Intervals { recent: [0; INTERVALS], next: 0 },
             saturated: false,
             pending: [None; PENDING_MAX],
             imu: NONE,
@@ -280,31 +306,38 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             sink.event(&Event { t_ns, row, kind, value });
             return Ok(());
         }
-        let previous = self.last;
-        let dt_ns = previous.map_or(t_ns.saturating_sub(self.ekf.t_ns()), |l| t_ns - l.t_ns);
-        let gap = self.classify_gap(row, t_ns, dt_ns)?;
         self.imu.total += 1;
-        let row_dt_s = if gap.is_some() { self.usual_dt_ns } else { dt_ns } as f64 / 1e9;
+        let done = self.accept(row, t_ns, raw, sink);
+        match done {
+            Ok(true) => self.imu.used += 1,
+            Ok(false) => self.imu.late += 1,
+            Err(_) => self.imu.bad += 1,
+        }
+        done.map(|_| ())
+    }
+
+    /// Takes a row in order; `false` when it lies before the start.
+    fn accept(&mut self, row: u64, t_ns: i64, raw: Rates, sink: &mut impl Sink) -> Result<bool, Error> {
+        let previous = self.last;
+        let now = self.ekf.t_ns();
+        let dt_ns = t_ns.saturating_sub(previous.map_or(now, |l| l.t_ns));
+        let gap = self.classify_gap(row, t_ns, dt_ns)?;
+        // a row after a hole holds only its own interval
+        let row_dt_ns = self.intervals.usual_ns().filter(|_| gap.is_some()).unwrap_or(dt_ns);
+        let row_dt_s = row_dt_ns as f64 / 1e9;
+        self.watch_range(row, t_ns, &self.measured_rates(&raw, row_dt_s), sink);
         let rates = self.calibrated(&raw, row_dt_s);
         self.last = Some(Last { t_ns, raw, rates });
-        self.watch_range(row, t_ns, &rates, sink);
-        if gap.is_none() && dt_ns > 0 {
-            self.learn_interval(dt_ns);
+        if previous.is_some() {
+            self.intervals.push(dt_ns);
         }
-        let now = self.ekf.t_ns();
         if t_ns <= now {
             // the row at the start is its first sample; earlier ones only tell the rate of the row after them
-            if t_ns == now {
-                self.imu.used += 1
-            } else {
-                self.imu.late += 1
-            }
-            return Ok(());
+            return Ok(t_ns == now);
         }
-        self.imu.used += 1;
-        let start = previous.map_or(rates, |l| l.rates);
         let from_ns = previous.map_or(now, |l| l.t_ns);
         let sampled = self.settings.input == ImuInput::Rates;
+        let start = previous.map_or(rates, |l| l.rates);
         match gap {
             None => {
                 let increments = (self.settings.input == ImuInput::Increments)
@@ -312,13 +345,14 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
                 let start = if sampled { start } else { rates };
                 let interval =
                     Interval { from_ns, to_ns: t_ns, start, end: rates, increments, extra: NO_NOISE };
-                self.run(&interval, sink)
+                self.run(&interval, sink)?;
             }
             Some(kind) => {
                 sink.event(&Event { t_ns, row, kind, value: dt_ns as f64 / 1e9 });
-                self.bridge(from_ns, t_ns, &start, &rates, sampled, sink)
+                self.bridge(from_ns, t_ns, row_dt_ns, &start, &rates, sink)?;
             }
         }
+        Ok(true)
     }
 
     /// Takes a GNSS row; `fix.t_ns` is its stamp, the configured latency is taken off here.
@@ -376,36 +410,39 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         if t_ns <= self.ekf.t_ns() {
             return Ok(None);
         }
+        let usual = self.intervals.usual_ns();
         if dt_ns > self.settings.max_gap_ns {
+            // increments cannot be told from rates over a hole while the usual interval is not known
+            let blind = usual.is_none() && self.settings.input == ImuInput::Increments;
             return match self.settings.on_gap {
-                OnGap::Stop => Err(Error::Gap {
+                OnGap::Bridge if !blind => Ok(Some(EventKind::ImuGapLong)),
+                _ => Err(Error::Gap {
                     row,
-                    from_ns: t_ns - dt_ns,
+                    from_ns: t_ns.saturating_sub(dt_ns),
                     to_ns: t_ns,
                     limit_ns: self.settings.max_gap_ns,
                 }),
-                OnGap::Bridge => Ok(Some(EventKind::ImuGapLong)),
             };
         }
         let factor = if self.settings.input == ImuInput::Rates { GAP_FACTOR_RATES } else { GAP_FACTOR_MEAN };
-        let gap = self.usual_dt_ns > 0 && dt_ns as f64 > factor * self.usual_dt_ns as f64;
+        let gap = usual.is_some_and(|usual| dt_ns as f64 > factor * usual as f64);
         Ok(gap.then_some(EventKind::ImuGap))
     }
 
-    /// Follows the usual interval: a running mean that falls at once when rows come faster.
-    fn learn_interval(&mut self, dt_ns: i64) {
-        let usual = self.usual_dt_ns;
-        self.usual_dt_ns = if usual == 0 || dt_ns < usual / 2 { dt_ns } else { usual + (dt_ns - usual) / 16 };
-    }
-
-    fn calibrated(&self, raw: &Rates, dt_s: f64) -> Rates {
+    /// Rates as the sensor gave them.
+    fn measured_rates(&self, raw: &Rates, dt_s: f64) -> Rates {
         let scale = match self.settings.input {
             ImuInput::Increments if dt_s > 0.0 => 1.0 / dt_s,
             _ => 1.0,
         };
+        Rates { gyro: raw.gyro * scale, accel: raw.accel * scale }
+    }
+
+    fn calibrated(&self, raw: &Rates, dt_s: f64) -> Rates {
+        let measured = self.measured_rates(raw, dt_s);
         Rates {
-            gyro: self.settings.gyro.rate(&(raw.gyro * scale)),
-            accel: self.settings.accel.rate(&(raw.accel * scale)),
+            gyro: self.settings.gyro.rate(&measured.gyro),
+            accel: self.settings.accel.rate(&measured.accel),
         }
     }
 
@@ -430,9 +467,9 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         &mut self,
         from_ns: i64,
         to_ns: i64,
+        row_dt_ns: i64,
         start: &Rates,
         end: &Rates,
-        sampled: bool,
         sink: &mut impl Sink,
     ) -> Result<(), Error> {
         self.ekf.break_increments();
@@ -442,39 +479,29 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             gyro_psd: density(&start.gyro, &end.gyro),
             accel_psd: density(&start.accel, &end.accel),
         };
-        if sampled {
-            return self
-                .run(&Interval { from_ns, to_ns, start: *start, end: *end, increments: None, extra }, sink);
+        if self.settings.input == ImuInput::Rates {
+            let whole = Interval { from_ns, to_ns, start: *start, end: *end, increments: None, extra };
+            return self.run(&whole, sink);
         }
         // the row itself covers only its own interval; the hole before it gets the mean of both neighbours
-        let hole_end_ns = (to_ns - self.usual_dt_ns).max(from_ns);
+        let middle_ns = to_ns.saturating_sub(row_dt_ns).max(from_ns);
         let mean = start.towards(end, 0.5);
-        self.run(
-            &Interval { from_ns, to_ns: hole_end_ns, start: mean, end: mean, increments: None, extra },
-            sink,
-        )?;
-        let own = Interval {
-            from_ns: hole_end_ns,
-            to_ns,
-            start: *end,
-            end: *end,
-            increments: None,
-            extra: NO_NOISE,
-        };
+        let hole = Interval { from_ns, to_ns: middle_ns, start: mean, end: mean, increments: None, extra };
+        self.run(&hole, sink)?;
+        let own =
+            Interval { from_ns: middle_ns, to_ns, start: *end, end: *end, increments: None, extra: NO_NOISE };
         self.run(&own, sink)
     }
 
     /// Propagates through an interval, stopping at every fix that is valid in it.
     fn run(&mut self, interval: &Interval, sink: &mut impl Sink) -> Result<(), Error> {
-        loop {
-            let fix = self.take_pending(interval.to_ns);
-            let target_ns = fix.map_or(interval.to_ns, |(_, f)| f.t_ns);
-            self.propagate(interval, target_ns)?;
-            match fix {
-                Some((row, fix)) => self.fuse(row, &fix, sink)?,
-                None => return Ok(()),
+        while let Some(fix_ns) = self.next_pending_ns().filter(|t| *t <= interval.to_ns) {
+            self.propagate(interval, fix_ns)?;
+            if let Some((row, fix)) = self.take_pending(fix_ns) {
+                self.fuse(row, &fix, sink)?;
             }
         }
+        self.propagate(interval, interval.to_ns)
     }
 
     fn propagate(&mut self, interval: &Interval, target_ns: i64) -> Result<(), Error> {
@@ -517,6 +544,10 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         Ok(())
     }
 
+    fn next_pending_ns(&self) -> Option<i64> {
+        self.pending.iter().flatten().map(|(_, fix)| fix.t_ns).min()
+    }
+
     /// The earliest waiting fix valid up to a time; rows fed earlier come first where times are equal.
     fn take_pending(&mut self, until_ns: i64) -> Option<(u64, GnssFix)> {
         self.pending
@@ -529,7 +560,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     /// Bytes that [`Navigator::save`] writes at most.
     #[must_use]
     pub const fn saved_len(&self) -> usize {
-        self.ekf.saved_len() + 8 * (1 + 1 + 12 + 1 + 1 + 10 + 1 + PENDING_MAX * FIX_WORDS)
+        self.ekf.saved_len() + 8 * (1 + 1 + 12 + INTERVALS + 1 + 1 + 10 + 1 + PENDING_MAX * FIX_WORDS)
     }
 
     /// Writes the state with everything that waits; [`Navigator::restore`] continues with the same bits.
@@ -544,7 +575,8 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         for v in [&last.raw.gyro, &last.raw.accel, &last.rates.gyro, &last.rates.accel] {
             out.f64s(v.as_slice())?;
         }
-        out.i64(self.usual_dt_ns)?;
+        self.intervals.recent.iter().try_for_each(|dt| out.i64(*dt))?;
+        out.u64(self.intervals.next as u64)?;
         out.u64(u64::from(self.saturated))?;
         for c in [&self.imu, &self.gnss] {
             for v in [c.total, c.used, c.rejected, c.late, c.bad] {
@@ -571,7 +603,10 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         let [gyro, accel, gyro2, accel2] = v.map(Vector3::from);
         let rates = Rates { gyro: gyro2, accel: accel2 };
         next.last = some.then_some(Last { t_ns, raw: Rates { gyro, accel }, rates });
-        next.usual_dt_ns = saved.i64()?;
+        for dt in &mut next.intervals.recent {
+            *dt = saved.i64()?;
+        }
+        next.intervals.next = (saved.u64()? % INTERVALS as u64) as usize;
         next.saturated = saved.u64()? == 1;
         for c in [&mut next.imu, &mut next.gnss] {
             for v in [&mut c.total, &mut c.used, &mut c.rejected, &mut c.late, &mut c.bad] {

@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, finite,
-    half_turn, lever_velocity,
+    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, check_start,
+    finite, half_turn, lever_velocity,
 };
 use crate::attitude::{self, skew};
 use crate::error::Error;
@@ -60,6 +60,7 @@ impl NavModel for Ecef {
     const NAME: &'static str = "ecef";
 
     fn new(earth: EarthModel, solution: &Solution) -> Result<Self, Error> {
+        check_start(solution)?;
         let Solution { position, v_n, q_nb } = *solution;
         let c_en = frames::c_ne(position.lat_rad, position.lon_rad).transpose();
         let r_e = frames::lla_to_ecef(&earth.ellipsoid, &position).0;
@@ -171,10 +172,12 @@ impl NavModel for Ecef {
         [r.x, r.y, r.z, v.x, v.y, v.z, q.w, q.i, q.j, q.k]
     }
 
-    fn unpack(&mut self, p: &[f64; 10]) {
-        self.r_e = Vector3::new(p[0], p[1], p[2]);
-        self.v_e = Vector3::new(p[3], p[4], p[5]);
-        self.q_eb = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(p[6], p[7], p[8], p[9]));
-        self.c_eb = attitude::dcm(&self.q_eb);
+    fn unpack(&mut self, p: &[f64; 10]) -> Result<(), Error> {
+        let r_e = Vector3::new(p[0], p[1], p[2]);
+        let v_e = Vector3::new(p[3], p[4], p[5]);
+        let q_eb = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(p[6], p[7], p[8], p[9]));
+        Self::check(&r_e, &v_e, &q_eb)?;
+        *self = Self { earth: self.earth, r_e, v_e, q_eb, c_eb: attitude::dcm(&q_eb) };
+        Ok(())
     }
 }

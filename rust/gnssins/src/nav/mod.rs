@@ -152,7 +152,10 @@ pub trait NavModel: Clone {
     fn pack(&self) -> [f64; 10];
 
     /// Restores what [`NavModel::pack`] gave.
-    fn unpack(&mut self, packed: &[f64; 10]);
+    ///
+    /// # Errors
+    /// As [`NavModel::new`]; the state is then unchanged.
+    fn unpack(&mut self, packed: &[f64; 10]) -> Result<(), Error>;
 }
 
 /// Rows of a velocity aid that both models share: velocity of the lever arm's end against the Earth, and its
@@ -185,6 +188,33 @@ fn lever_velocity(
 /// `(I - dt/2 [w x]) v`: a vector turned by half of the frame's rotation over the interval, to first order.
 fn half_turn(w: &Vector3<f64>, dt_s: f64, v: &Vector3<f64>) -> Vector3<f64> {
     v - 0.5 * dt_s * w.cross(v)
+}
+
+/// Refuses a start that is no state: angles out of range (degrees given as radians) or no rotation.
+fn check_start(solution: &Solution) -> Result<(), Error> {
+    let Lla { lat_rad, lon_rad, height_m } = solution.position;
+    finite("position", &[lat_rad, lon_rad, height_m])?;
+    let bound = |what, got: f64, limit: f64, need| {
+        if got.abs() <= limit { Ok(()) } else { Err(Error::Config { what, need, got }) }
+    };
+    bound(
+        "latitude (rad)",
+        lat_rad,
+        core::f64::consts::FRAC_PI_2,
+        "must lie in -pi/2..pi/2: are these degrees?",
+    )?;
+    bound(
+        "longitude (rad)",
+        lon_rad,
+        2.0 * core::f64::consts::PI,
+        "must lie in -2pi..2pi: are these degrees?",
+    )?;
+    let norm = solution.q_nb.coords.norm();
+    finite("attitude", &[norm])?;
+    if (norm - 1.0).abs() > 1e-3 {
+        return Err(Error::Config { what: "attitude quaternion (length)", need: "must be 1", got: norm });
+    }
+    Ok(())
 }
 
 fn finite(what: &'static str, values: &[f64]) -> Result<(), Error> {

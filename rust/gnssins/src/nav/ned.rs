@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, finite,
-    half_turn, lever_velocity,
+    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, check_start,
+    finite, half_turn, lever_velocity,
 };
 use crate::attitude::{self, skew};
 use crate::earth::{Radii, transport_rate_n};
@@ -142,6 +142,7 @@ impl NavModel for Ned {
     const NAME: &'static str = "ned";
 
     fn new(earth: EarthModel, solution: &Solution) -> Result<Self, Error> {
+        check_start(solution)?;
         let Solution { position, v_n, q_nb } = *solution;
         Self::check(&position, &v_n, &q_nb)?;
         let q_nb = attitude::renormalise(&q_nb);
@@ -252,10 +253,13 @@ impl NavModel for Ned {
         [p.lat_rad, p.lon_rad, p.height_m, v.x, v.y, v.z, q.w, q.i, q.j, q.k]
     }
 
-    fn unpack(&mut self, p: &[f64; 10]) {
-        self.position = Lla { lat_rad: p[0], lon_rad: p[1], height_m: p[2] };
-        self.v_n = Vector3::new(p[3], p[4], p[5]);
-        self.q_nb = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(p[6], p[7], p[8], p[9]));
-        self.c_nb = attitude::dcm(&self.q_nb);
+    fn unpack(&mut self, p: &[f64; 10]) -> Result<(), Error> {
+        let position = Lla { lat_rad: p[0], lon_rad: p[1], height_m: p[2] };
+        let v_n = Vector3::new(p[3], p[4], p[5]);
+        let q_nb = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(p[6], p[7], p[8], p[9]));
+        check_start(&Solution { position, v_n, q_nb })?;
+        Self::check(&position, &v_n, &q_nb)?;
+        *self = Self { earth: self.earth, position, v_n, q_nb, c_nb: attitude::dcm(&q_nb) };
+        Ok(())
     }
 }

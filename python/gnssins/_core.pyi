@@ -1,0 +1,242 @@
+"""Compiled core: SI units, radians, int64 nanoseconds; body axes forward-right-down, navigation axes NED.
+
+Arrays are copied in. Quaternions are scalar first and take body vectors to NED. Every function raises the
+classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigError`` for values.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypedDict, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_F = NDArray[np.float64]
+_I = NDArray[np.int64]
+_Vector = _F | Sequence[float]
+
+class _State(TypedDict):
+    name: str
+    unit: str
+    block: str
+    kind: str
+
+class _Event(TypedDict):
+    t_ns: int
+    code: str
+    row: int
+    value: float
+    message: str
+
+class _Measurements(TypedDict):
+    row: _I
+    t_ns: _I
+    status: NDArray[np.uint8]
+    dof: NDArray[np.uint8]
+    nis: _F
+    innovation: _F
+    innovation_cov: _F
+    reason: list[str]
+
+class _Run(TypedDict):
+    t_ns: _I
+    lla: _F
+    v_n: _F
+    rpy: _F
+    q_nb: _F
+    sd: _F
+    x: _F
+    x_sd: _F
+    states: list[_State]
+    cov_t_ns: _I
+    cov: _F
+    meas: _Measurements
+    events: list[_Event]
+    counts: dict[str, dict[str, int]]
+    final_state: bytes
+
+class _NavigatorState(TypedDict):
+    t_ns: int
+    lla: _F
+    v_n: _F
+    rpy: _F
+    q_nb: _F
+    sd: _F
+    x: _F
+    x_sd: _F
+
+def version() -> str:
+    """Version of the compiled core."""
+
+def is_debug_build() -> bool:
+    """Tell whether the core was built without optimisation."""
+
+def preset_names() -> list[str]:
+    """Names of the presets."""
+
+def preset_json(name: str) -> str:
+    """Return a preset as engine configuration (JSON, SI units)."""
+
+def preset_summary(name: str) -> str:
+    """One line about a preset."""
+
+def run(
+    config_json: str,
+    imu_t_ns: _I,
+    gyro: _F,
+    accel: _F,
+    gnss_t_ns: _I,
+    gnss_pos: _F,
+    gnss_vel: _F,
+    gnss_var: _F,
+    progress: Callable[[float], object] | None = None,
+) -> _Run:
+    """Run a filter over a log, with the GIL released.
+
+    Parameters
+    ----------
+    config_json
+        Engine configuration; built by :meth:`gnssins.Config.engine_config`.
+    imu_t_ns, gyro, accel
+        IMU rows, shapes (n,), (n, 3), (n, 3): rates (rad/s, m/s²) or increments (rad, m/s) as configured.
+    gnss_t_ns, gnss_pos, gnss_vel, gnss_var
+        GNSS rows, shapes (m,), (m, 3), (m, 3), (m, 6) or (m, 6, 6): latitude, longitude (rad), height (m);
+        velocity NED (m/s); variances (m², m²/s²). NaN marks an absent component.
+    progress
+        Called now and then with the share done, 0 to 1.
+
+    Returns
+    -------
+    dict
+        ``t_ns`` (k,), ``lla`` (k, 3), ``v_n`` (k, 3), ``rpy`` (k, 3), ``q_nb`` (k, 4); ``sd`` (k, 9): N, E, D (m),
+        vN, vE, vD (m/s), roll, pitch, heading (rad); ``x``, ``x_sd`` (k, blocks); ``states``; ``cov_t_ns`` (c,),
+        ``cov`` (c, n, n) of the error states along NED; ``meas``, one entry per GNSS row, status 0 used, 1 rejected,
+        2 late, 3 bad; ``events``; ``counts``; ``final_state``.
+
+    Raises
+    ------
+    gnssins.errors.GnssinsError
+        Its class and ``code`` say what: time order, gap, covariance, data quality, configuration.
+    """
+
+@final
+class Navigator:
+    """A filter fed row by row; gives the same bits as :func:`run` on the same rows in time order."""
+
+    def __new__(cls, config_json: str) -> Navigator: ...
+    def imu(self, t_ns: int, gyro: _Vector, accel: _Vector) -> None:
+        """Feed an IMU row: stamp (ns), three rates or increments, three specific forces or increments."""
+
+    def gnss(self, t_ns: int, pos: _Vector | None, vel: _Vector | None, var: _Vector) -> None:
+        """Feed a GNSS row: stamp (ns), latitude, longitude (rad), height (m), velocity NED (m/s), variances."""
+
+    def finish(self) -> None:
+        """End a log: fixes that still wait for an IMU row are counted as late."""
+
+    def state(self) -> _NavigatorState:
+        """Return the present solution, its standard deviations and the block states."""
+
+    def states(self) -> list[_State]:
+        """Name, unit, block and kind of every error state."""
+
+    def cov(self) -> _F:
+        """Covariance of the error states along NED, shape (n, n)."""
+
+    def save(self) -> bytes:
+        """Return the whole state; :meth:`restore` continues from it with the same bits."""
+
+    def restore(self, saved: bytes) -> None:
+        """Restore what a navigator of the same configuration saved."""
+
+    def take_measurements(self) -> _Measurements:
+        """Return the records since the last call."""
+
+    def take_events(self) -> list[_Event]:
+        """Return the events since the last call."""
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Rows by source: in, used, rejected, late, bad."""
+
+def radii(lat: _F, ellipsoid: str) -> _F:
+    """Radii of curvature R_M, R_N (m), shape (k, 2), at latitudes (rad) (k,). Groves (2013), eq. 2.105-2.106."""
+
+def gravity_n(lat: _F, height: _F, ellipsoid: str, gravity: str = "normal") -> _F:
+    """Gravity along NED (m/s²), shape (k, 3); ``gravity`` is "normal" or "vertical" (no north component)."""
+
+def lla_to_ecef(lla: _F, ellipsoid: str) -> _F:
+    """Latitude, longitude (rad), height (m), shape (k, 3), to ECEF (m)."""
+
+def ecef_to_lla(ecef: _F, ellipsoid: str) -> _F:
+    """ECEF (m), shape (k, 3), to latitude, longitude (rad), height (m)."""
+
+def euler_to_quat(rpy: _F) -> _F:
+    """Roll, pitch, heading (rad), shape (k, 3), to quaternions (k, 4)."""
+
+def quat_to_euler(q: _F) -> _F:
+    """Quaternions (k, 4) to roll, pitch, heading (rad)."""
+
+def quat_to_dcm(q: _F) -> _F:
+    """Quaternions (k, 4) to rotation matrices (k, 3, 3)."""
+
+def dcm_to_quat(c: _F) -> _F:
+    """Rotation matrices (k, 3, 3) to quaternions (k, 4)."""
+
+def rotvec_to_quat(rotvec: _F) -> _F:
+    """Rotation vectors (rad), shape (k, 3), to quaternions (k, 4)."""
+
+def quat_to_rotvec(q: _F) -> _F:
+    """Quaternions (k, 4) to rotation vectors (rad), angle at most pi."""
+
+def quat_mul(a: _F, b: _F) -> _F:
+    """Row-wise product of quaternions (k, 4): the rotation b, then a."""
+
+def strapdown(
+    model: str,
+    ellipsoid: str,
+    gravity: str,
+    coning: str,
+    t_ns: _I,
+    dtheta: _F,
+    dvel: _F,
+    lla0: _Vector,
+    v0: _Vector,
+    q0: _Vector,
+) -> tuple[_F, _F, _F]:
+    """Integrate increments without aids; row 0 is the start, row k leads there from row k-1.
+
+    Returns position (n, 3), velocity NED (n, 3) and attitude (n, 4).
+    """
+
+def invert_strapdown(
+    model: str, ellipsoid: str, gravity: str, coning: str, t_ns: _I, lla0: _Vector, v_n: _F, q_nb: _F
+) -> tuple[_F, _F, _F]:
+    """Find the increments with which :func:`strapdown` follows given velocities (n, 3) and attitudes (n, 4).
+
+    Returns position (n, 3), which is the step's own integral of the velocity, ``dtheta`` (n, 3) in rad and ``dvel``
+    (n, 3) in m/s; row 0 of the increments is zero.
+    """
+
+def error_dynamics(
+    model: str,
+    ellipsoid: str,
+    gravity: str,
+    lla: _Vector,
+    v_n: _Vector,
+    q_nb: _Vector,
+    f_b: _Vector,
+) -> dict[str, Any]:
+    """System matrix ``f`` (9, 9) and couplings ``gyro``, ``accel`` (9, 3) at one point, in the model's axes."""
+
+def aiding_jacobians(
+    model: str,
+    ellipsoid: str,
+    lla: _Vector,
+    v_n: _Vector,
+    q_nb: _Vector,
+    w_ib_b: _Vector,
+    lever_b: _Vector,
+) -> dict[str, Any]:
+    """Jacobians of predicted minus measured at one point, rows north, east, down.
+
+    ``position``, ``velocity`` (3, 9) over phi, dv, dp; ``position_lever``, ``velocity_lever``, ``velocity_gyro``
+    (3, 3) over the remaining lever-arm (m) and gyro (rad/s) errors.
+    """

@@ -1,0 +1,118 @@
+"""Readers and writers of log files. One format is one file; the registry finds it by the suffix of the name.
+
+:func:`read_dataset` reads everything that a configuration names. A new format is an object with the
+attributes of :class:`Format`, handed to :func:`register`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from ..config import Config, GnssConfig, ImuConfig, TruthConfig
+from ..dataset import Dataset, GnssTable, ImuTable, Source, TruthTable
+from ..errors import ConfigError, InputError
+from .csv import CsvFormat
+from .csv_writer import write_gnss, write_imu, write_truth
+
+__all__ = ["Format", "format_of", "read_dataset", "register", "write_gnss", "write_imu", "write_truth"]
+
+
+class Format(Protocol):
+    """What a file format provides."""
+
+    @property
+    def name(self) -> str:
+        """Short name for messages."""
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Endings of file names, lower case, with the leading dot."""
+
+    def read_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
+        """Read inertial samples."""
+
+    def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
+        """Read fixes."""
+
+    def read_truth(self, path: Path, config: TruthConfig) -> tuple[TruthTable, Source]:
+        """Read a reference trajectory."""
+
+
+_FORMATS: list[Format] = []
+
+
+def register(file_format: Format) -> None:
+    """Add a format; of two formats with one suffix the later one wins."""
+    _FORMATS.insert(0, file_format)
+
+
+def format_of(path: Path) -> Format:
+    """Find the format of a file by its name.
+
+    Parameters
+    ----------
+    path : Path
+        The file; need not exist.
+
+    Returns
+    -------
+    Format
+
+    Raises
+    ------
+    InputError
+        ``input.format``: no format knows the suffix.
+    """
+    name = path.name.lower()
+    for file_format in _FORMATS:
+        if name.endswith(file_format.suffixes):
+            return file_format
+    known = ", ".join(suffix for file_format in _FORMATS for suffix in file_format.suffixes)
+    raise InputError(
+        "input.format",
+        f"{path}: unknown file format",
+        f"rename the file or convert it; known endings: {known}",
+        {"file": str(path)},
+    )
+
+
+def read_dataset(config: Config) -> Dataset:
+    """Read the files that a configuration names.
+
+    Parameters
+    ----------
+    config : Config
+        Names the files and says what is in them. Nothing is cut: start, end and outages are for the run.
+
+    Returns
+    -------
+    Dataset
+        Tables and, in ``sources``, the digest and row counts of each file.
+
+    Raises
+    ------
+    ConfigError
+        ``config.no_file``: no IMU file named; ``config.no_accuracy``: fixes without accuracy.
+    InputError
+        Anything that cannot be read.
+    """
+    if config.imu.file is None:
+        raise ConfigError(
+            "config.no_file",
+            "[imu] file: missing, there is nothing to read",
+            'add file = "imu.csv" to [imu], or hand over a data set',
+        )
+    imu, source = format_of(config.imu.file).read_imu(config.imu.file, config.imu)
+    sources = {source.path: source}
+    gnss, truth = GnssTable.empty(), None
+    if config.gnss.file is not None:
+        gnss, source = format_of(config.gnss.file).read_gnss(config.gnss.file, config.gnss)
+        sources[source.path] = source
+    if config.truth.file is not None:
+        truth, source = format_of(config.truth.file).read_truth(config.truth.file, config.truth)
+        sources[source.path] = source
+    return Dataset(imu, gnss, truth, sources)
+
+
+register(CsvFormat())

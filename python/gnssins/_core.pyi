@@ -10,6 +10,31 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "Navigator",
+    "aiding_jacobians",
+    "dcm_to_quat",
+    "ecef_to_lla",
+    "error_dynamics",
+    "euler_to_quat",
+    "gravity_n",
+    "invert_strapdown",
+    "is_debug_build",
+    "lla_to_ecef",
+    "preset_json",
+    "preset_names",
+    "preset_summary",
+    "quat_mul",
+    "quat_to_dcm",
+    "quat_to_euler",
+    "quat_to_rotvec",
+    "radii",
+    "rotvec_to_quat",
+    "run",
+    "strapdown",
+    "version",
+]
+
 _F = NDArray[np.float64]
 _I = NDArray[np.int64]
 _Vector = _F | Sequence[float]

@@ -194,6 +194,7 @@ def gnss_settings(config: Config) -> dict[str, Any]:
         "lever_b_m": list(gnss.lever_ba_b_m),
         "latency_ns": units.ms_to_ns(gnss.latency_ms),
         "gate_probability": None if gnss.gate_probability == "off" else gnss.gate_probability,
+        "reacquire_after": None if gnss.reacquire_after == "off" else gnss.reacquire_after,
     }
 
 

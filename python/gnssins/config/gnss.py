@@ -22,6 +22,17 @@ from .base import (
 )
 
 
+def _reacquire(value: Any) -> Any:
+    """Accept a number of fixes, or the word off."""
+    if value == "off" or (isinstance(value, int) and not isinstance(value, bool) and 2 <= value <= 1_000_000):
+        return value
+    raise invalid(
+        "config.range",
+        'must be a whole number of fixes from 2 to 1000000, or "off"',
+        "10 rejected fixes in a row are no accident",
+    )
+
+
 def _gate(value: Any) -> Any:
     """Accept a probability below 1, or the word off."""
     if value == "off" or (is_number(value) and 0.0 < value < 1.0):
@@ -116,6 +127,11 @@ class GnssConfig(Section):
         default=0.999,
         description="Chi-square gate: a fix that a right filter would see less often than 1 - p is rejected; "
         'or "off"',
+    )
+    reacquire_after: Annotated[int | Literal["off"], BeforeValidator(_reacquire)] = Field(
+        default=10,
+        description="Fixes rejected in a row after which the filter declares its own covariance too small, raises "
+        'it as a counted event (filter.reset) and tries again; "off" never follows them',
     )
     missing: str = Field(
         default="nan", description="Text that stands for a missing value, beside an empty cell"

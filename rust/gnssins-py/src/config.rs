@@ -74,6 +74,8 @@ pub struct GnssConfig {
     pub lever_b_m: [f64; 3],
     pub latency_ns: i64,
     pub gate_probability: Option<f64>,
+    #[serde(default)]
+    pub reacquire_after: Option<u32>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -136,6 +138,7 @@ impl EngineConfig {
             on_gap: self.imu.on_gap,
             on_backwards: self.imu.on_backwards,
             latency_ns: self.gnss.latency_ns,
+            reacquire_after: self.gnss.reacquire_after,
         })
     }
 
@@ -288,7 +291,12 @@ impl From<&Preset> for EngineConfig {
                 accel_matrix: zero,
             },
             blocks: p.blocks.iter().map(|(name, b)| BlockConfig::of(name, b)).collect(),
-            gnss: GnssConfig { lever_b_m: [0.0; 3], latency_ns: 0, gate_probability: Some(0.999) },
+            gnss: GnssConfig {
+                lever_b_m: [0.0; 3],
+                latency_ns: 0,
+                gate_probability: Some(0.999),
+                reacquire_after: stream.reacquire_after,
+            },
             output: OutputConfig { interval_ns: 0, covariance_interval_ns: 0 },
             initial: None,
         }

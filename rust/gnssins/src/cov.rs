@@ -136,6 +136,11 @@ impl<const CAP: usize> Covariance<CAP> {
         out
     }
 
+    /// `P <- factor P`.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        self.p.iter_mut().flatten().for_each(|p| *p *= factor);
+    }
+
     /// `P <- G P G'` where G differs from I only in the 3x3 block at `start`.
     pub(crate) fn transform3(&mut self, start: usize, g: &nalgebra::Matrix3<f64>) {
         for j in 0..self.n {

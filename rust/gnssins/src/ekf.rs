@@ -324,6 +324,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         Ok(record)
     }
 
+    /// Multiplies the covariance: the declared remedy where the filter was found overconfident by this factor (of
+    /// variance). Factors below 1 and non-finite ones do nothing.
+    pub fn raise_covariance(&mut self, factor: f64) {
+        if factor.is_finite() && factor > 1.0 {
+            self.cov.scale(factor);
+        }
+    }
+
     /// Innovation, its covariance and NIS on the prior.
     fn evaluate(&self, row: u64, t_ns: i64, rows: &Rows<CAP>) -> Result<Record, Error> {
         let mut record = Record::unevaluated(row, t_ns, Status::Used);

@@ -64,6 +64,8 @@ pub struct StreamSettings {
     pub on_backwards: OnBackwards,
     /// GNSS stamp minus time of validity, ns.
     pub latency_ns: i64,
+    /// Rejected fixes in a row after which the filter declares its covariance wrong and re-acquires; `None`: never.
+    pub reacquire_after: Option<u32>,
 }
 
 impl Default for StreamSettings {
@@ -78,6 +80,7 @@ impl Default for StreamSettings {
             on_gap: OnGap::default(),
             on_backwards: OnBackwards::default(),
             latency_ns: 0,
+            reacquire_after: Some(10),
         }
     }
 }
@@ -136,6 +139,8 @@ pub enum EventKind {
     GnssBad,
     /// A GNSS row lies after the last IMU row.
     GnssAfterEnd,
+    /// So many fixes in a row were refused that the covariance was raised to fit them.
+    FilterReset,
 }
 
 impl EventKind {
@@ -154,6 +159,7 @@ impl EventKind {
             Self::GnssLate => "gnss.late",
             Self::GnssBad => "gnss.bad",
             Self::GnssAfterEnd => "gnss.after_end",
+            Self::FilterReset => "filter.reset",
         }
     }
 
@@ -172,6 +178,7 @@ impl EventKind {
             Self::GnssLate => "GNSS row valid before the filter's time (s)",
             Self::GnssBad => "GNSS row not usable",
             Self::GnssAfterEnd => "GNSS row after the last IMU row (s)",
+            Self::FilterReset => "fixes refused too often: covariance raised by this factor, fix tried again",
         }
     }
 }
@@ -202,9 +209,18 @@ pub struct Navigator<M, const CAP: usize> {
     last: Option<Last>,
     intervals: Intervals,
     saturated: bool,
+    refused: Refused,
     pending: [Option<(u64, GnssFix)>; PENDING_MAX],
     imu: Counts,
     gnss: Counts,
+}
+
+/// Fixes refused in a row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Refused {
+    count: u32,
+    /// Sum of NIS over degrees of freedom.
+    ratio: f64,
 }
 
 /// Intervals that the usual one is taken from.
@@ -255,6 +271,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             last: None,
             intervals: Intervals { recent: [0; INTERVALS], next: 0 },
             saturated: false,
+            refused: Refused { count: 0, ratio: 0.0 },
             pending: [None; PENDING_MAX],
             imu: NONE,
             gnss: NONE,
@@ -527,7 +544,12 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     }
 
     fn fuse(&mut self, row: u64, fix: &GnssFix, sink: &mut impl Sink) -> Result<(), Error> {
-        let record = self.ekf.update(row, fix)?;
+        let mut record = self.ekf.update(row, fix)?;
+        if let Some(factor) = self.reset_factor(&record) {
+            self.ekf.raise_covariance(factor);
+            sink.event(&Event { t_ns: fix.t_ns, row, kind: EventKind::FilterReset, value: factor });
+            record = self.ekf.update(row, fix)?;
+        }
         let (counter, event) = match record.status {
             Status::Used => (&mut self.gnss.used, None),
             Status::Rejected => (&mut self.gnss.rejected, Some((EventKind::GnssRejected, record.nis))),
@@ -542,6 +564,25 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         }
         sink.record(&record);
         Ok(())
+    }
+
+    /// Follows the fixes refused in a row; when there are too many, the mean of their NIS per degree of freedom is the
+    /// factor by which the covariance was too small.
+    fn reset_factor(&mut self, record: &Record) -> Option<f64> {
+        match record.status {
+            Status::Used => self.refused = Refused { count: 0, ratio: 0.0 },
+            Status::Rejected => {
+                self.refused.count += 1;
+                self.refused.ratio += record.nis / record.dof as f64;
+            }
+            Status::Late | Status::Bad(_) => {}
+        }
+        let Refused { count, ratio } = self.refused;
+        let limit = self.settings.reacquire_after?;
+        (count >= limit.max(1)).then(|| {
+            self.refused = Refused { count: 0, ratio: 0.0 };
+            (ratio / f64::from(count)).max(1.0)
+        })
     }
 
     fn next_pending_ns(&self) -> Option<i64> {
@@ -560,7 +601,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     /// Bytes that [`Navigator::save`] writes at most.
     #[must_use]
     pub const fn saved_len(&self) -> usize {
-        self.ekf.saved_len() + 8 * (1 + 1 + 12 + INTERVALS + 1 + 1 + 10 + 1 + PENDING_MAX * FIX_WORDS)
+        self.ekf.saved_len() + 8 * (1 + 1 + 12 + INTERVALS + 1 + 1 + 2 + 10 + 1 + PENDING_MAX * FIX_WORDS)
     }
 
     /// Writes the state with everything that waits; [`Navigator::restore`] continues with the same bits.
@@ -578,6 +619,8 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         self.intervals.recent.iter().try_for_each(|dt| out.i64(*dt))?;
         out.u64(self.intervals.next as u64)?;
         out.u64(u64::from(self.saturated))?;
+        out.u64(u64::from(self.refused.count))?;
+        out.f64s(&[self.refused.ratio])?;
         for c in [&self.imu, &self.gnss] {
             for v in [c.total, c.used, c.rejected, c.late, c.bad] {
                 out.u64(v)?;
@@ -608,6 +651,8 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         }
         next.intervals.next = (saved.u64()? % INTERVALS as u64) as usize;
         next.saturated = saved.u64()? == 1;
+        let count = saved.u64()?.min(u64::from(u32::MAX)) as u32;
+        next.refused = Refused { count, ratio: saved.f64()? };
         for c in [&mut next.imu, &mut next.gnss] {
             for v in [&mut c.total, &mut c.used, &mut c.rejected, &mut c.late, &mut c.bad] {
                 *v = saved.u64()?;

@@ -1,0 +1,5 @@
+"""``python -m gnssins``."""
+
+from gnssins.cli import main
+
+main()

@@ -1,0 +1,200 @@
+"""The ``gnssins`` command. Everything heavy is imported inside the commands: ``--help`` answers at once."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="gnssins",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    help="INS/GNSS integration: from an IMU and GNSS log, or a simulated flight, to a trusted trajectory.",
+    epilog="Start with: gnssins demo",
+)
+
+Json = Annotated[bool, typer.Option("--json", metavar="", help="Print one JSON document instead of text.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        import gnssins
+
+        typer.echo(f"gnssins {gnssins.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None: ...
+
+
+@app.command(
+    epilog="Example: gnssins demo --out demo-output",
+    help="Fly a simulated UAV for 3000 s with and without GNSS gaps, and show how good the solution is.\n\n"
+    "Sensors at 100 Hz, fixes at 1 Hz, a filter with 18 states. Needs no data; takes some ten seconds.",
+)
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for pictures and results.")
+    ] = Path("demo-output"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 2017,
+    json: Json = False,
+) -> None:
+    """Fly a simulated UAV for 3000 s with and without GNSS gaps, and show how good the solution is."""
+    from gnssins import commands
+
+    commands.demo(out, seed, json)
+
+
+@app.command(
+    epilog="Example: gnssins simulate fomichev-tan-2017 --seed 7 --out flight",
+    help="Simulate a log: IMU, fixes and the truth as CSV files, and a configuration that is ready to run.\n\n"
+    "Writes imu.csv.gz, gnss.csv.gz, ref.csv.gz and SCENARIO.toml. The same seed gives the same files.",
+)
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(metavar="SCENARIO", help="Name of a packaged scenario, or a TOML file.")
+    ] = "",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write; default: SCENARIO.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
+    variant: Annotated[
+        str | None, typer.Option(help="Variant that the scenario defines, such as other GNSS gaps.")
+    ] = None,
+    names: Annotated[
+        bool, typer.Option("--list", metavar="", help="List the packaged scenarios and leave.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Simulate a log: IMU, fixes and the truth as CSV files, and a configuration that is ready to run."""
+    from gnssins import commands
+
+    if names:
+        commands.list_scenarios(json)
+        return
+    if not scenario:
+        raise typer.BadParameter("name a scenario; gnssins simulate --list shows them", param_hint="SCENARIO")
+    commands.simulate(scenario, out, seed, variant, json)
+
+
+@app.command(
+    epilog="Example: gnssins run drive.toml --out result --figures --kml",
+    help="Process a recorded log: IMU and GNSS in, trajectory with its accuracy out.\n\n"
+    "Writes navigation.parquet, measurements.parquet, covariance.parquet, events.csv, state.bin and run.toml. "
+    "If the configuration names a reference it prints the errors; if it withholds fixes in outages, how far the "
+    "solution drifts without them.",
+)
+def run(
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG.toml", help="Configuration; it names the input files.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the result; default: CONFIG-result."),
+    ] = None,
+    csv: Annotated[
+        bool, typer.Option("--csv", metavar="", help="Also write navigation.csv and measurements.csv.")
+    ] = False,
+    kml: Annotated[
+        bool, typer.Option("--kml", metavar="", help="Also write track.kml for Google Earth and the like.")
+    ] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures", metavar="", help="Also draw the figures as PNG.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Process a recorded log: IMU and GNSS in, trajectory with its accuracy out."""
+    from gnssins import commands
+
+    commands.run(config, out, csv, kml, figures, json)
+
+
+@app.command(
+    epilog="Example: gnssins compare result flight/ref.csv.gz --after 600",
+    help="Compare a result with a reference trajectory or with another result.\n\n"
+    "A reference file has the columns time_s, lat_deg, lon_deg, height_m and, if known, vn, ve, vd, roll_deg, "
+    "pitch_deg, heading_deg; its clock is that of the IMU log.",
+)
+def compare(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that gnssins run has written.")],
+    reference: Annotated[
+        Path, typer.Argument(metavar="REFERENCE", help="Truth as CSV file, or the folder of another result.")
+    ],
+    after: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Leave out everything up to this time.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compare a result with a reference trajectory or with another result."""
+    from gnssins import commands
+
+    commands.compare(result, reference, after, json)
+
+
+def main() -> None:
+    """Run the command line and leave with 0 (done), 1 (something the user can change) or 2 (a bug)."""
+    sys.exit(_guarded())
+
+
+def _guarded() -> int:
+    try:
+        app(prog_name="gnssins")
+    except SystemExit as leaving:
+        # wrong options and arguments: the parser has printed what is wrong and leaves with 2
+        return 1 if leaving.code == 2 else int(leaving.code or 0)
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        return _failed(error)
+    return 0
+
+
+def _failed(error: Exception) -> int:
+    """Tell a user's error in one line and its hint, a bug with its trace."""
+    from gnssins.errors import GnssinsError
+    from gnssins.terminal import message, put_json
+
+    as_json = "--json" in sys.argv
+    if isinstance(error, GnssinsError):
+        if as_json:
+            put_json(
+                {
+                    "error": {
+                        "code": error.code,
+                        "message": error.message,
+                        "hint": error.hint,
+                        "context": error.context,
+                    }
+                }
+            )
+        message(str(error), "red")
+        return 1
+    if isinstance(error, OSError) and not isinstance(error, ConnectionError):
+        where = f"{error.filename}: " if error.filename else ""
+        if as_json:
+            put_json({"error": {"code": "os.error", "message": f"{where}{error.strerror or error}"}})
+        message(f"{where}{error.strerror or error}", "red")
+        return 1
+    if as_json:
+        put_json({"error": {"code": "bug", "message": f"{type(error).__name__}: {error}"}})
+    traceback.print_exception(error)
+    message("This is a bug in gnssins. Please report it with the lines above.", "red")
+    return 2
+
+
+if __name__ == "__main__":
+    main()

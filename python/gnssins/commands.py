@@ -1,0 +1,219 @@
+"""What the commands do, one function each; :mod:`gnssins.cli` only parses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gnssins import export
+from gnssins.analysis import compare as compare_tracks
+from gnssins.analysis import nis, outage_table
+from gnssins.config import Config, TruthConfig
+from gnssins.dataset import Dataset, TruthTable
+from gnssins.errors import InputError
+from gnssins.io import format_of, read_dataset
+from gnssins.result import Result
+from gnssins.runner import run as run_filter
+from gnssins.terminal import heading, message, progress, put, put_json
+
+if TYPE_CHECKING:
+    from gnssins.analysis import NavErrors
+
+__all__ = ["compare", "demo", "list_scenarios", "run", "simulate"]
+
+
+def demo(out: Path, seed: int, as_json: bool) -> None:
+    """``gnssins demo``."""
+    from gnssins import demo as demonstration
+
+    report = demonstration.run_demo(out, seed)
+    if as_json:
+        put_json(report.to_dict())
+    else:
+        put(report.text())
+
+
+def list_scenarios(as_json: bool) -> None:
+    """``gnssins simulate --list``."""
+    from gnssins.analysis.text import table
+    from gnssins.sim import load_scenario, scenario_names
+
+    scenarios = [load_scenario(name) for name in scenario_names()]
+    if as_json:
+        rows = [
+            {"name": s.name, "description": s.scenario.description, "variants": list(s.variant)}
+            for s in scenarios
+        ]
+        put_json({"scenarios": rows})
+        return
+    cells = [[s.name, ", ".join(s.variant) or "-", s.scenario.description] for s in scenarios]
+    put(table("", ["scenario", "variants", "description"], cells, left=(0, 1, 2)))
+
+
+def simulate(scenario: str, out: Path | None, seed: int, variant: str | None, as_json: bool) -> None:
+    """``gnssins simulate``."""
+    from gnssins.sim import simulate as simulate_run
+    from gnssins.simfiles import write_simulation
+
+    simulated = simulate_run(scenario, seed, variant=variant)
+    folder = out if out is not None else Path(simulated.scenario.name)
+    files = write_simulation(simulated, folder)
+    imu, gnss = simulated.dataset.imu, simulated.dataset.gnss
+    if as_json:
+        counts = {"imu": len(imu), "gnss": len(gnss)}
+        put_json({"scenario": simulated.scenario.name, "seed": seed, "rows": counts, "files": files})
+        return
+    put(
+        f"{simulated.scenario.name}, seed {seed}: {len(imu)} IMU rows over {imu.duration_s:.1f} s, {len(gnss)} fixes"
+    )
+    for file in files:
+        put(f"  {file}")
+    put(f"Next: gnssins run {files[-1]}")
+
+
+def run(path: Path, out: Path | None, csv: bool, kml: bool, figures: bool, as_json: bool) -> None:
+    """``gnssins run``."""
+    config = Config.load(path)
+    folder = out if out is not None else Path(f"{path.stem}-result")
+    data = read_dataset(config)
+    with progress("filter") as bar:
+        result = run_filter(config, data, progress=bar)
+    for finding in result.metadata["finding"]:
+        text = f"{finding['level']}: {finding['message']}"
+        message(f"{text}\n  hint: {finding['hint']}" if finding["hint"] else text, "yellow")
+    files = _write(result, data, folder, csv, kml, figures)
+    report = _summary(result, config, data, files)
+    if as_json:
+        put_json({"config": str(path), "out": str(folder), **report})
+        return
+    put(repr(result))
+    put(f"filtered in {result.metadata['run']['filter_s']:.2f} s")
+    put("\n".join(_count_lines(result)))
+    for title, text in _tables(result, config, data):
+        heading(title)
+        put(text)
+    heading("Written")
+    put("\n".join(f"  {file}" for file in files))
+
+
+def _write(result: Result, data: Dataset, folder: Path, csv: bool, kml: bool, figures: bool) -> list[str]:
+    """Save the result and what else was asked for; the files in the order of their use."""
+    result.save(folder)
+    names = [
+        "navigation.parquet",
+        "measurements.parquet",
+        "covariance.parquet",
+        "events.csv",
+        "state.bin",
+        "run.toml",
+    ]
+    files = [folder / name for name in names]
+    if csv:
+        files.append(result.to_csv(folder / "navigation.csv"))
+        files.append(export.write_csv(result.measurements, folder / "measurements.csv"))
+    if kml:
+        files.append(result.to_kml(folder / "track.kml", name=folder.name))
+    if figures:
+        files += draw_figures(result, folder, _compared(result, data.truth), data.truth)
+    return [str(file) for file in files]
+
+
+def draw_figures(
+    result: Result, folder: Path, errors: NavErrors | None = None, truth: TruthTable | None = None
+) -> list[Path]:
+    """Draw every figure that the data allow, as PNG in ``folder``."""
+    from gnssins import plots
+
+    made = {
+        "track": plots.track(result, truth),
+        "innovations": plots.innovations(result),
+        "nis": plots.nis(result),
+    }
+    if result.block_states:
+        made["biases"] = plots.biases(result)
+    if errors is not None and len(errors):
+        made["position_errors"] = plots.position_errors(errors, result.outages())
+        made["velocity_errors"] = plots.velocity_errors(errors, result.outages())
+        made["attitude_errors"] = plots.attitude_errors(errors, result.outages())
+    return [plots.save(figure, folder / f"{name}.png") for name, figure in made.items()]
+
+
+def _compared(result: Result, truth: TruthTable | None) -> NavErrors | None:
+    if truth is None or not len(truth):
+        return None
+    return compare_tracks(result, truth, ellipsoid=str(result.metadata["ellipsoid"]))
+
+
+def _count_lines(result: Result) -> list[str]:
+    lines = []
+    for table, name in (("imu", "IMU"), ("gnss", "GNSS")):
+        counts = dict(result.counts[table])
+        total, held = counts.pop("in"), counts.pop("withheld", 0)
+        parts = " + ".join(f"{count} {what}" for what, count in counts.items())
+        lines.append(f"{name} rows: {total} in = {parts}" + (f"; {held} withheld" if held else ""))
+    events = result.event_counts()
+    if events:
+        lines.append("events: " + ", ".join(f"{count} {code}" for code, count in events.items()))
+    return lines
+
+
+def _tables(result: Result, config: Config, data: Dataset) -> list[tuple[str, str]]:
+    """Titles and texts of what can be said about the accuracy."""
+    out = []
+    errors = _compared(result, data.truth)
+    if errors is not None and len(errors):
+        out.append(("Against the reference", errors.rmse().table()))
+    if _withheld(result):
+        out.append(("Without GNSS, against the withheld fixes", outage_table(result).table()))
+    joint = nis(result)
+    if joint.groups:
+        out.append(("Innovations", joint.table()))
+    return out
+
+
+def _withheld(result: Result) -> bool:
+    return bool(len(result.outages())) and bool(result.records.is_status("withheld").any())
+
+
+def _summary(result: Result, config: Config, data: Dataset, files: list[str]) -> dict[str, Any]:
+    errors = _compared(result, data.truth)
+    return {
+        "epochs": len(result),
+        "start_s": float(result.time_s[0]),
+        "end_s": float(result.time_s[-1]),
+        "states": [state.name for state in result.states],
+        "counts": result.counts,
+        "events": result.event_counts(),
+        "findings": result.metadata["finding"],
+        "times": {k: v for k, v in result.metadata["run"].items() if k.endswith("_s")},
+        "rmse": errors.rmse().to_dict() if errors is not None and len(errors) else None,
+        "outages": outage_table(result).to_dict() if _withheld(result) else None,
+        "nis": nis(result).to_dict(),
+        "files": files,
+    }
+
+
+def compare(folder: Path, reference: Path, after: float | None, as_json: bool) -> None:
+    """``gnssins compare``."""
+    result = Result.open(folder)
+    other = _reference(reference)
+    errors = compare_tracks(result, other, ellipsoid=str(result.metadata["ellipsoid"]))
+    rmse = errors.rmse(after)
+    gaps = outage_table(result, other) if len(result.outages()) else None
+    if as_json:
+        report = {"result": str(folder), "reference": str(reference), "rmse": rmse.to_dict()}
+        put_json({**report, "outages": gaps.to_dict() if gaps is not None else None})
+        return
+    put(rmse.table(f"{folder} against {reference}, root mean square"))
+    if gaps is not None:
+        put()
+        put(gaps.table("Without GNSS"))
+
+
+def _reference(path: Path) -> Result | TruthTable:
+    if path.is_dir():
+        return Result.open(path)
+    table, _ = format_of(path).read_truth(path, TruthConfig(file=path))
+    if not len(table):
+        raise InputError("input.empty", f"{path}: no rows")
+    return table

@@ -1,0 +1,230 @@
+"""Navigation sample by sample, with the same engine and the same numbers as :func:`gnssins.run`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnssins import _core
+from gnssins.config import Config
+from gnssins.errors import InputError
+from gnssins.result import STATUS, Event
+from gnssins.runner import Start, as_config, as_initial
+from gnssins.tables import State
+from gnssins.units import NS_PER_S
+
+__all__ = ["Measurement", "NavState", "Navigator"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class NavState:
+    """The estimate at one moment; symbols, units and order as in :class:`gnssins.Result`, without the time axis."""
+
+    t_ns: int
+    lla: Array
+    v_n: Array
+    rpy: Array
+    q_nb: Array
+    sd: Array
+    x: Array
+    x_sd: Array
+
+    @property
+    def time_s(self) -> float:
+        """Time in seconds."""
+        return self.t_ns / NS_PER_S
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What became of one fix; see :class:`gnssins.result.Records` for the meaning of the fields."""
+
+    row: int
+    t_ns: int
+    status: str
+    dof: int
+    nis: float
+    innovation: Array
+    innovation_cov: Array
+    reason: str
+
+
+class Navigator:
+    """A filter that takes one sample after the other.
+
+    Times are seconds as ``float``, or nanoseconds as ``int``: ``12.5`` and ``12_500_000_000`` are the same
+    moment. Use integers where the clock counts from an old epoch: at 1e9 s a float resolves only 0.1 microseconds.
+
+    Parameters
+    ----------
+    config : Config, mapping or path
+        As for :func:`gnssins.run`; file names and ``[run]`` are not looked at.
+    initial : InitialState or mapping
+        State to start from (for example :func:`gnssins.alignment.initial_state` over the first seconds).
+
+    Raises
+    ------
+    ConfigError
+        The configuration cannot be used.
+    """
+
+    def __init__(
+        self,
+        config: Config | Mapping[str, Any] | str | os.PathLike[str],
+        initial: Start,
+    ) -> None:
+        config = as_config(config)
+        self._uses_position = config.gnss.uses_position
+        self._uses_velocity = config.gnss.uses_velocity
+        self._default_var = _configured_variances(config)
+        self._core = _core.Navigator(json.dumps(config.engine_config(as_initial(initial).to_engine())))
+
+    def imu(self, t: float | int, gyro: ArrayLike, accel: ArrayLike) -> None:
+        """Take one IMU row and move the state to its time.
+
+        Parameters
+        ----------
+        t : float or int
+            Stamp: seconds as float, nanoseconds as int.
+        gyro, accel : array_like, shape (3,)
+            Body axes, rad/s and m/s^2, or rad and m/s for increments (``[imu] kind``).
+
+        Raises
+        ------
+        TimeOrderError, GapError
+            As configured; the row is then not taken.
+        """
+        self._core.imu(_nanoseconds(t), np.asarray(gyro, dtype=float), np.asarray(accel, dtype=float))
+
+    def gnss(
+        self,
+        t: float | int,
+        *,
+        lla: ArrayLike | None = None,
+        v_n: ArrayLike | None = None,
+        sd: ArrayLike | None = None,
+        cov: ArrayLike | None = None,
+    ) -> None:
+        """Take one fix; it is fused when the IMU reaches its time of validity.
+
+        Parameters
+        ----------
+        t : float or int
+            Stamp as in :meth:`imu`; the latency of the configuration is taken off here.
+        lla : array_like, shape (3,), optional
+            Latitude, longitude (rad), height (m) of the antenna.
+        v_n : array_like, shape (3,), optional
+            Velocity north, east, down (m/s); NaN for an absent component.
+        sd : array_like, shape (6,), optional
+            Standard deviations of position (m) and velocity (m/s), north, east, down; left out: those of ``[gnss]``.
+        cov : array_like, shape (6, 6), optional
+            Full covariance instead of ``sd``.
+
+        Raises
+        ------
+        InputError
+            No accuracy is known, or both are given.
+        """
+        if cov is not None and sd is not None:
+            raise InputError("input.accuracy", "a fix with both sd and cov", "give one of them")
+        if cov is not None:
+            var = np.asarray(cov, dtype=float)
+        else:
+            var = self._default_var if sd is None else np.asarray(sd, dtype=float) ** 2
+        position = lla if self._uses_position else None
+        velocity = v_n if self._uses_velocity else None
+        parts = ((position, slice(0, 3)), (velocity, slice(3, 6)))
+        if any(p is not None and not np.isfinite(var[at]).any() for p, at in parts):
+            raise InputError(
+                "input.no_sd",
+                "the accuracy of a fix is not known",
+                "give sd or cov, or [gnss] position_sd_m and velocity_sd_m_s",
+            )
+        self._core.gnss(_nanoseconds(t), _vector(position), _vector(velocity), var)
+
+    def finish(self) -> None:
+        """End the stream: fixes that wait for an IMU row that will not come are counted as late."""
+        self._core.finish()
+
+    @property
+    def state(self) -> NavState:
+        """The estimate now."""
+        return NavState(**self._core.state())
+
+    @property
+    def covariance(self) -> Array:
+        """Error-state covariance now, shape (n, n), NED axes, SI, order of :attr:`states`."""
+        return self._core.cov()
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """Names and units of all states."""
+        return tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in self._core.states())
+
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Rows taken so far by what became of them, for ``"imu"`` and ``"gnss"``."""
+        return self._core.counts()
+
+    def take_measurements(self) -> list[Measurement]:
+        """Hand out the records of the fixes since the last call."""
+        m = self._core.take_measurements()
+        return [
+            Measurement(
+                int(m["row"][i]),
+                int(m["t_ns"][i]),
+                STATUS[int(m["status"][i])],
+                int(m["dof"][i]),
+                float(m["nis"][i]),
+                m["innovation"][i],
+                m["innovation_cov"][i],
+                m["reason"][i],
+            )
+            for i in range(len(m["row"]))
+        ]
+
+    def take_events(self) -> list[Event]:
+        """Hand out the events since the last call."""
+        events = self._core.take_events()
+        return [Event(e["t_ns"], e["code"], e["row"], e["message"]) for e in events]
+
+    def save(self) -> bytes:
+        """Freeze the whole state, waiting fixes included, in bytes."""
+        return self._core.save()
+
+    def restore(self, saved: bytes) -> None:
+        """Go on from what :meth:`save` gave, or from :attr:`gnssins.Result.final_state`: the same bits follow.
+
+        Raises
+        ------
+        StateError
+            The bytes belong to another configuration; the navigator is then unchanged.
+        """
+        self._core.restore(saved)
+
+
+def _nanoseconds(t: float | int) -> int:
+    """Nanoseconds of a time: int is nanoseconds already, float is seconds."""
+    if isinstance(t, int | np.integer):
+        return int(t)
+    whole = int(np.floor(t))
+    return whole * NS_PER_S + round((t - whole) * NS_PER_S)
+
+
+def _vector(values: ArrayLike | None) -> Array | None:
+    return None if values is None else np.asarray(values, dtype=np.float64)
+
+
+def _configured_variances(config: Config) -> Array:
+    """Variances (6,) that ``[gnss]`` gives; NaN where it gives none."""
+    unknown: Sequence[float] = (np.nan,) * 3
+    position, velocity = config.gnss.position_sd_m or unknown, config.gnss.velocity_sd_m_s or unknown
+    return np.array([*position, *velocity]) ** 2

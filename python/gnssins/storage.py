@@ -1,0 +1,230 @@
+"""The folder of a saved result, and how it is written and read.
+
+=======================  ======================================================================================
+``navigation.parquet``   one row per epoch; columns of :attr:`gnssins.Result.navigation`
+``measurements.parquet`` one row per GNSS row; columns of :attr:`gnssins.Result.measurements`
+``covariance.parquet``   ``t_ns`` and ``covariance`` (n*n numbers row by row, SI, order of the states)
+``events.csv``           ``time_s, code, row, message``
+``state.bin``            state of the engine at the end, for :meth:`gnssins.Navigator.restore`
+``run.toml``             versions, input hashes, counts, seed, the whole configuration, the list of states
+=======================  ======================================================================================
+
+Times come back from the ``time_s`` column: to the nanosecond on clocks below 4e6 s, to 0.25 microseconds when the
+seconds count from the start of GPS time.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+import polars as pl
+import tomlkit
+from numpy.typing import NDArray
+
+from gnssins import tables
+from gnssins.errors import InputError, MissingFileError
+from gnssins.tables import State
+from gnssins.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from gnssins.result import Event, Records, Result
+
+__all__ = ["FORMAT", "load", "save", "write_atomic"]
+
+#: Version of the layout of the folder.
+FORMAT: Final = 1
+
+RUN_FILE: Final = "run.toml"
+
+T = TypeVar("T")
+
+
+def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file in the same folder, then rename it to ``path``.
+
+    A reader sees the old file or the new one, never a part; on any failure the temporary file goes away.
+    """
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+        raise
+
+
+def save(result: Result, folder: str | Path) -> Path:
+    """Write ``result`` into ``folder``; ``run.toml`` goes first when it is there and comes last when all is written."""
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    (target / RUN_FILE).unlink(missing_ok=True)
+    write_atomic(target / "navigation.parquet", result.navigation.write_parquet)
+    write_atomic(target / "measurements.parquet", result.measurements.write_parquet)
+    write_atomic(target / "events.csv", result.events.write_csv)
+    write_atomic(target / "covariance.parquet", _covariance_table(result).write_parquet)
+    write_atomic(target / "state.bin", lambda path: path.write_bytes(result.final_state))
+    text = tomlkit.dumps(_run_document(result))
+    write_atomic(target / RUN_FILE, lambda path: path.write_text(text, encoding="utf-8"))
+    return target
+
+
+def _covariance_table(result: Result) -> pl.DataFrame:
+    n = len(result.states)
+    flat = np.ascontiguousarray(result.covariance.matrix.reshape(-1, n * n))
+    column = pl.Series(flat, dtype=pl.Array(pl.Float64, n * n))
+    return pl.DataFrame({"t_ns": result.covariance.t_ns, "covariance": column})
+
+
+def _run_document(result: Result) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        **_plain(result.metadata),
+        "counts": _plain(result.counts),
+        "events": result.event_counts(),
+        "state": [{"name": s.name, "unit": s.unit, "block": s.block, "kind": s.kind} for s in result.states],
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Mappings, sequences and NumPy scalars as plain Python; entries that are None disappear (TOML has no null)."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value
+
+
+def load(folder: str | Path) -> Result:
+    """Read the folder that :func:`save` wrote; see :meth:`gnssins.Result.open` for the errors."""
+    from gnssins.result import Covariance, Result
+
+    source = Path(folder)
+    document = _read_run(source)
+    states = tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in document.pop("state"))
+    counts, n = document.pop("counts"), len(states)
+    for key in ("format", "events"):
+        document.pop(key)
+    navigation = _read(source / "navigation.parquet", pl.read_parquet)
+    columns = [*tables.NAVIGATION_COLUMNS, *tables.SD_COLUMNS]
+    names = [tables.column_of(s) for s in states[9:]]
+    table = _columns(source, navigation, columns + names + [f"sd_{name}" for name in names])
+    factors = np.array([tables.table_unit(s.unit).factor for s in states[9:]])
+    rpy = np.radians(table[:, 7:10])
+    rpy[:, 2] = tables.wrap_pi(rpy[:, 2])
+    covariance = _read(source / "covariance.parquet", pl.read_parquet)
+    return Result(
+        t_ns=_nanoseconds(table[:, 0]),
+        lla=np.column_stack([np.radians(table[:, 1:3]), table[:, 3]]),
+        v_n=table[:, 4:7].copy(),
+        rpy=rpy,
+        q_nb=_quaternions(rpy),
+        sd=np.column_stack([table[:, 10:16], np.radians(table[:, 16:19])]),
+        x=table[:, 19 : 19 + len(names)] / factors,
+        x_sd=table[:, 19 + len(names) :] / factors,
+        states=states,
+        covariance=Covariance(
+            covariance["t_ns"].to_numpy(), covariance["covariance"].to_numpy().reshape(-1, n, n).copy()
+        ),
+        records=_load_records(source),
+        log=_load_events(source),
+        counts=counts,
+        metadata=document,
+        final_state=_read(source / "state.bin", Path.read_bytes),
+    )
+
+
+def _read_run(source: Path) -> dict[str, Any]:
+    path = source / RUN_FILE
+    if not path.is_file():
+        raise MissingFileError(
+            "input.no_result",
+            f"{source} holds no complete result: {RUN_FILE} is missing",
+            "name a folder that `gnssins run --out` or Result.save() wrote; run again if it was interrupted",
+            {"file": str(path)},
+        )
+    document = tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
+    if document.get("format") != FORMAT:
+        raise InputError(
+            "input.result_format",
+            f"{path}: format = {document.get('format')}, this version reads {FORMAT}",
+            "run again with this version",
+            {"file": str(path)},
+        )
+    return dict(document)
+
+
+def _read(path: Path, reader: Callable[[Path], T]) -> T:
+    try:
+        return reader(path)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise InputError(
+            "input.result_file",
+            f"{path}: cannot be read ({error})",
+            "the folder is damaged: run again",
+            {"file": str(path)},
+        ) from error
+
+
+def _columns(source: Path, table: pl.DataFrame, names: list[str]) -> NDArray[np.float64]:
+    missing = [name for name in names if name not in table.columns]
+    if missing:
+        raise InputError(
+            "input.result_file",
+            f"{source}: navigation.parquet lacks {', '.join(missing)}",
+            "the folder mixes two runs: run again into a new one",
+            {"file": str(source), "columns": missing},
+        )
+    return np.ascontiguousarray(table.select(names).to_numpy())
+
+
+def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Nanoseconds of times in seconds, whole seconds and fraction apart to keep all digits."""
+    whole = np.floor(time_s)
+    return whole.astype(np.int64) * NS_PER_S + np.rint((time_s - whole) * NS_PER_S).astype(np.int64)
+
+
+def _quaternions(rpy: NDArray[np.float64]) -> NDArray[np.float64]:
+    from gnssins import _core
+
+    return _core.euler_to_quat(rpy)
+
+
+def _load_records(source: Path) -> Records:
+    from gnssins.result import STATUS, Records
+
+    table = _read(source / "measurements.parquet", pl.read_parquet)
+    fix = table.select(tables.NAVIGATION_COLUMNS[1:7]).to_numpy()
+    return Records(
+        row=table["row"].to_numpy(),
+        t_ns=_nanoseconds(table["time_s"].to_numpy()),
+        status=np.array([STATUS.index(name) for name in table["status"]], dtype=np.uint8),
+        dof=table["dof"].to_numpy(),
+        nis=table["nis"].to_numpy(),
+        innovation=np.ascontiguousarray(table.select(tables.INNOVATION_COLUMNS).to_numpy()),
+        innovation_cov=table["innovation_cov"].to_numpy().reshape(-1, 6, 6).copy(),
+        reason=tuple(table["reason"]),
+        lla=np.column_stack([np.radians(fix[:, :2]), fix[:, 2]]),
+        v_n=fix[:, 3:].copy(),
+    )
+
+
+def _load_events(source: Path) -> tuple[Event, ...]:
+    from gnssins.result import Event
+
+    schema = {"time_s": pl.Float64, "code": pl.String, "row": pl.Int64, "message": pl.String}
+    table = _read(source / "events.csv", lambda path: pl.read_csv(path, schema=schema))
+    times = _nanoseconds(table["time_s"].to_numpy())
+    rows = zip(times, table["code"], table["row"], table["message"], strict=True)
+    return tuple(Event(int(t), code, row, message) for t, code, row, message in rows)

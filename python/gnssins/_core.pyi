@@ -42,6 +42,7 @@ _Vector = _F | Sequence[float]
 class _State(TypedDict):
     name: str
     unit: str
+    scale: float
     block: str
     kind: str
 

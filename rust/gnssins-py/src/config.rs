@@ -7,7 +7,8 @@ use gnssins::ekf::{Initial, Settings};
 use gnssins::error::Error;
 use gnssins::frames::Lla;
 use gnssins::imu::{Calibration, Coning, ImuInput};
-use gnssins::nav::{EarthModel, Solution};
+use gnssins::layout::Layout;
+use gnssins::nav::{EarthModel, NAV, Solution};
 use gnssins::presets::{self, Model, Preset};
 use gnssins::stream::{OnBackwards, OnGap, StreamSettings};
 use nalgebra::{Matrix3, Vector3};
@@ -168,37 +169,40 @@ impl EngineConfig {
         self.blocks.iter().map(|b| b.block(py)).collect()
     }
 
-    /// Name and unit of every state.
-    pub fn states(&self) -> Vec<StateInfo> {
-        let nav = [("phi", "rad"), ("dv", "m/s"), ("dp", "m")];
-        let nav = nav.iter().flat_map(|(name, unit)| {
-            ["n", "e", "d"]
-                .map(|axis| StateInfo::new(format!("{name}_{axis}"), unit, "navigation", "navigation"))
-        });
-        let blocks = self.blocks.iter().flat_map(|b| {
-            let name = |axis: &&str| match b.kind {
-                BlockKind::BaroBias => b.name.clone(),
-                _ => format!("{}_{axis}", b.name),
+    /// Number of error states.
+    pub fn state_count(&self) -> usize {
+        NAV + self.blocks.iter().map(|b| b.kind.len()).sum::<usize>()
+    }
+
+    /// Name, unit and scale of every state: those of the layout, with the names of the configured blocks.
+    pub fn states(&self, py: Python<'_>) -> PyResult<Vec<StateInfo>> {
+        let layout = Layout::<CAPACITY>::new(&self.blocks(py)?).map_err(|e| errors::from_crate(py, &e))?;
+        let nav = (0..NAV).map(|_| "navigation");
+        let blocks = self.blocks.iter().flat_map(|b| b.kind.axes().iter().map(|_| b.name.as_str()));
+        let named = |(i, block): (usize, &str)| {
+            let s = layout.state(i)?;
+            let (prefix, kind) = if i < NAV { (s.quantity, "navigation") } else { (block, s.quantity) };
+            let name = match s.quantity {
+                "baro_bias" => prefix.to_string(),
+                _ => format!("{prefix}_{}", s.axis),
             };
-            b.kind.axes().iter().map(move |a| StateInfo::new(name(a), b.kind.unit(), &b.name, b.kind.name()))
-        });
-        nav.chain(blocks).collect()
+            Some(StateInfo { name, unit: s.unit, scale: s.scale, block: block.to_string(), kind })
+        };
+        Ok(nav.chain(blocks).enumerate().filter_map(named).collect())
     }
 }
+
+/// Most states that the binding is compiled for.
+pub const CAPACITY: usize = 64;
 
 /// What a state is, for tables and plots.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateInfo {
     pub name: String,
     pub unit: &'static str,
+    pub scale: f64,
     pub block: String,
     pub kind: &'static str,
-}
-
-impl StateInfo {
-    fn new(name: String, unit: &'static str, block: &str, kind: &'static str) -> Self {
-        Self { name, unit, block: block.to_string(), kind }
-    }
 }
 
 impl BlockConfig {

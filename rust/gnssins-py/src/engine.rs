@@ -13,7 +13,7 @@ use gnssins::stream::{Counts, Event, Navigator, Sink};
 use nalgebra::Vector3;
 use pyo3::prelude::*;
 
-use crate::config::EngineConfig;
+use crate::config::{CAPACITY, EngineConfig};
 use crate::errors;
 
 /// Events and records in the order in which they came.
@@ -127,7 +127,7 @@ impl<M: NavModel + Send + Sync, const CAP: usize> Engine for Navigator<M, CAP> {
 
 /// Builds the smallest engine that holds the configured states.
 pub fn build(py: Python<'_>, config: &EngineConfig) -> PyResult<Box<dyn Engine>> {
-    let n = config.states().len();
+    let n = config.state_count();
     match config.model {
         Model::Ned => sized::<Ned>(py, config, n),
         Model::Ecef => sized::<Ecef>(py, config, n),
@@ -143,7 +143,7 @@ fn sized<M: NavModel + Send + Sync + 'static>(
         0..=16 => boxed::<M, 16>(py, config),
         17..=24 => boxed::<M, 24>(py, config),
         25..=40 => boxed::<M, 40>(py, config),
-        _ => boxed::<M, 64>(py, config),
+        _ => boxed::<M, CAPACITY>(py, config),
     }
 }
 

@@ -69,7 +69,9 @@ fn message(error: &Error) -> String {
             "covariance not positive definite at t = {:.3} s: state {state}, pivot {pivot:e}",
             s(t_ns)
         ),
-        Error::NonFinite { what, t_ns } => format!("{what} is not finite at t = {:.3} s", s(t_ns)),
+        Error::NonFinite { what, t_ns } => {
+            format!("{what} is not finite or beyond all bounds at t = {:.3} s", s(t_ns))
+        }
         Error::LatitudeLimit { lat_rad, limit_rad } => format!(
             "latitude {:.6} deg is beyond the limit {:.1} deg of the NED model",
             lat_rad.to_degrees(),

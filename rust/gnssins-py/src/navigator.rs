@@ -28,7 +28,7 @@ impl Navigator {
     #[new]
     fn new(py: Python<'_>, config_json: &str) -> PyResult<Self> {
         let config = EngineConfig::parse(py, config_json)?;
-        Ok(Self { engine: engine::build(py, &config)?, states: config.states(), log: Log::default() })
+        Ok(Self { engine: engine::build(py, &config)?, states: config.states(py)?, log: Log::default() })
     }
 
     fn imu(&mut self, t_ns: i64, gyro: &Bound<'_, PyAny>, accel: &Bound<'_, PyAny>) -> PyResult<()> {

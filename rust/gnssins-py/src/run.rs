@@ -131,7 +131,7 @@ pub fn run<'py>(
     let Job { columns, log, order, .. } = job;
 
     let out = PyDict::new(py);
-    let states = config.states();
+    let states = config.states(py)?;
     columns.fill(&out, states.len())?;
     out.set_item("states", state_list(py, &states)?)?;
     out.set_item("meas", records(py, &log.records, &order)?)?;
@@ -261,6 +261,7 @@ pub fn state_list<'py>(py: Python<'py>, states: &[StateInfo]) -> PyResult<Bound<
         let d = PyDict::new(py);
         d.set_item("name", &s.name)?;
         d.set_item("unit", s.unit)?;
+        d.set_item("scale", s.scale)?;
         d.set_item("block", &s.block)?;
         d.set_item("kind", s.kind)?;
         list.append(d)?;

@@ -25,8 +25,8 @@ pub enum Error {
         /// States that the type can hold (`CAP`).
         capacity: usize,
     },
-    /// A number that must be finite is not.
-    #[error("{what} is not finite at t = {t_ns} ns")]
+    /// A number is NaN, infinite, or beyond anything that navigates (1e9 m, 1e6 m/s).
+    #[error("{what} is not finite or beyond all bounds at t = {t_ns} ns")]
     NonFinite {
         /// What is not finite.
         what: &'static str,

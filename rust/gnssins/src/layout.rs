@@ -9,6 +9,23 @@ use nalgebra::{Matrix3, Vector3};
 /// Most blocks in one filter.
 pub const BLOCKS_MAX: usize = 16;
 
+/// Name, unit and scale of one error state.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StateInfo {
+    /// `phi`, `dv`, `dp`, or the kind of the block.
+    pub quantity: &'static str,
+    /// Axis or element: n, e, d; x, y, z; xy and so on.
+    pub axis: &'static str,
+    /// SI unit.
+    pub unit: &'static str,
+    /// Typical size in that unit: of a block state its initial sigma.
+    pub scale: f64,
+}
+
+/// Quantity, unit and typical size of the navigation errors, three of each.
+const NAV_STATES: [(&str, &str, f64); 3] = [("phi", "rad", 1e-3), ("dv", "m/s", 0.1), ("dp", "m", 1.0)];
+const NED: [&str; 3] = ["n", "e", "d"];
+
 /// One state behind the navigation errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BlockState {
@@ -80,6 +97,23 @@ impl<const CAP: usize> Layout<CAP> {
     #[must_use]
     pub fn find(&self, kind: BlockKind) -> Option<usize> {
         self.blocks().find(|(b, _)| b.kind == kind).map(|(_, i)| i)
+    }
+
+    /// What state `i` is: names, unit and scale for tables, plots and conditioning.
+    #[must_use]
+    pub fn state(&self, i: usize) -> Option<StateInfo> {
+        if i < NAV {
+            let (quantity, unit, scale) = NAV_STATES[i / 3];
+            return Some(StateInfo { quantity, axis: NED[i % 3], unit, scale });
+        }
+        let (block, start) = self.blocks().find(|(b, start)| (*start..start + b.kind.len()).contains(&i))?;
+        let k = i - start;
+        Some(StateInfo {
+            quantity: block.kind.name(),
+            axis: block.kind.axes()[k],
+            unit: block.kind.unit(),
+            scale: block.initial_sd[k],
+        })
     }
 
     /// Block states with their indices.
@@ -159,5 +193,30 @@ impl BlockState {
         }
         let d = math::exp(self.decay * dt_s);
         (d, 2.0 * self.variance * (1.0 - d * d) / (1.0 + d * d))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::presets;
+
+    #[test]
+    fn every_state_of_every_preset_has_a_name_of_its_own_a_unit_and_a_scale() {
+        for preset in presets::PRESETS {
+            let blocks: Vec<Block> = preset.blocks.iter().map(|(_, b)| *b).collect();
+            let layout = Layout::<40>::new(&blocks).unwrap();
+            for i in 0..layout.len() {
+                let state = layout.state(i).unwrap();
+                assert!(!state.unit.is_empty() && state.scale > 0.0 && state.scale.is_finite());
+            }
+            assert_eq!(layout.state(layout.len()), None);
+            let first = layout.state(NAV).unwrap();
+            assert_eq!((first.quantity, first.axis, first.unit), ("gyro_bias", "x", "rad/s"));
+            assert_eq!(
+                layout.state(8).unwrap(),
+                StateInfo { quantity: "dp", axis: "d", unit: "m", scale: 1.0 }
+            );
+        }
     }
 }

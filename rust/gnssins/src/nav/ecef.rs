@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, check_start,
-    finite, half_turn, lever_velocity,
+    Aid, DP, DV, Dynamics, EarthModel, FARTHEST_M, FASTEST_M_S, Matrix3x9, Matrix9, NavModel, PHI, Solution,
+    Vector9, check_start, finite, half_turn, lever_velocity, within,
 };
 use crate::attitude::{self, skew};
 use crate::error::Error;
@@ -34,8 +34,8 @@ impl Ecef {
     }
 
     fn check(r: &Vector3<f64>, v: &Vector3<f64>, q: &UnitQuaternion<f64>) -> Result<(), Error> {
-        finite("position", r.as_slice())?;
-        finite("velocity", v.as_slice())?;
+        within("position", r.as_slice(), FARTHEST_M)?;
+        within("velocity", v.as_slice(), FASTEST_M_S)?;
         finite("attitude", q.coords.as_slice())
     }
 

@@ -217,6 +217,15 @@ fn check_start(solution: &Solution) -> Result<(), Error> {
     Ok(())
 }
 
+/// Largest distance (m) and speed (m/s) that count as numbers of a navigation state: beyond them conversions overflow.
+const FARTHEST_M: f64 = 1e9;
+const FASTEST_M_S: f64 = 1e6;
+
 fn finite(what: &'static str, values: &[f64]) -> Result<(), Error> {
-    if values.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Error::NonFinite { what, t_ns: 0 }) }
+    within(what, values, f64::MAX)
+}
+
+fn within(what: &'static str, values: &[f64], limit: f64) -> Result<(), Error> {
+    // NaN fails the comparison too
+    if values.iter().all(|v| v.abs() <= limit) { Ok(()) } else { Err(Error::NonFinite { what, t_ns: 0 }) }
 }

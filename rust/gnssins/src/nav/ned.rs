@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    Aid, DP, DV, Dynamics, EarthModel, Matrix3x9, Matrix9, NavModel, PHI, Solution, Vector9, check_start,
-    finite, half_turn, lever_velocity,
+    Aid, DP, DV, Dynamics, EarthModel, FARTHEST_M, FASTEST_M_S, Matrix3x9, Matrix9, NavModel, PHI, Solution,
+    Vector9, check_start, finite, half_turn, lever_velocity, within,
 };
 use crate::attitude::{self, skew};
 use crate::earth::{Radii, transport_rate_n};
@@ -64,8 +64,9 @@ impl Point {
 
 impl Ned {
     fn check(position: &Lla, v_n: &Vector3<f64>, q_nb: &UnitQuaternion<f64>) -> Result<(), Error> {
-        finite("position", &[position.lat_rad, position.lon_rad, position.height_m])?;
-        finite("velocity", v_n.as_slice())?;
+        finite("position", &[position.lat_rad, position.lon_rad])?;
+        within("height", &[position.height_m], FARTHEST_M)?;
+        within("velocity", v_n.as_slice(), FASTEST_M_S)?;
         finite("attitude", q_nb.coords.as_slice())?;
         if position.lat_rad.abs() > LATITUDE_LIMIT_RAD {
             return Err(Error::LatitudeLimit { lat_rad: position.lat_rad, limit_rad: LATITUDE_LIMIT_RAD });

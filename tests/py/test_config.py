@@ -67,6 +67,7 @@ def test_noise_may_differ_between_axes():
 def test_ranges_calibration_latency_and_rates_become_si():
     matrix = [[0.001, 0, 0], [0, 0.002, 0], [0, 0, 0.003]]
     tables = with_noise(gnss={"latency_ms": -100, "lever_ba_b_m": [0.85, 0, -1.2], "gate_probability": "off"})
+    tables["gnss"]["reacquire_after"] = "off"
     tables["imu"]["gyro"] |= {"range_deg_s": 2000, "bias_deg_h": [3600, 0, 0]}
     tables["imu"]["accel"] |= {"range_g": 16, "bias_mg": 1, "matrix": matrix}
     tables["imu"] |= {"max_gap_s": 0.25, "on_gap": "bridge"}
@@ -82,8 +83,15 @@ def test_ranges_calibration_latency_and_rates_become_si():
         "lever_b_m": [0.85, 0, -1.2],
         "latency_ns": -100_000_000,
         "gate_probability": None,
+        "reacquire_after": None,
     }
     assert engine["output"] == {"interval_ns": 100_000_000, "covariance_interval_ns": 2_500_000_000}
+
+
+@pytest.mark.parametrize("value", [0, 1, -3, 2.5, True, "never"])
+def test_reacquisition_takes_a_number_of_fixes_or_off(value):
+    with pytest.raises(ConfigError, match=r"gnss\.reacquire_after"):
+        Config.from_dict(with_noise(gnss={"reacquire_after": value}))
 
 
 def test_sorting_is_done_by_the_reader_so_the_engine_is_told_to_stop():

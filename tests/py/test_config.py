@@ -90,7 +90,7 @@ def test_ranges_calibration_latency_and_rates_become_si():
 
 @pytest.mark.parametrize("value", [0, 1, -3, 2.5, True, "never"])
 def test_reacquisition_takes_a_number_of_fixes_or_off(value):
-    with pytest.raises(ConfigError, match=r"gnss\.reacquire_after"):
+    with pytest.raises(ConfigError, match=r"\[gnss\] reacquire_after"):
         Config.from_dict(with_noise(gnss={"reacquire_after": value}))
 
 

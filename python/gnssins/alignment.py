@@ -164,7 +164,7 @@ def _start_ns(config: Config, imu: ImuTable) -> int:
 
 def _motion(config: Config, dataset: Dataset, start_ns: int, latency_ns: int) -> _Motion:
     """Position and velocity at the start, from the configuration or from the first fix that has them."""
-    initial, gnss = config.initial, dataset.gnss
+    initial = config.initial
     wanted = [
         name
         for name, value in (("position", initial.position), ("velocity", initial.velocity))

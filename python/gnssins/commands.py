@@ -162,12 +162,12 @@ def _tables(result: Result, config: Config, data: Dataset) -> list[tuple[str, st
     out = []
     errors = _compared(result, data.truth)
     if errors is not None and len(errors):
-        out.append(("Against the reference", errors.rmse().table()))
+        out.append(("Against the reference", errors.rmse().table("Root mean square")))
     if _withheld(result):
-        out.append(("Without GNSS, against the withheld fixes", outage_table(result).table()))
+        out.append(("Without GNSS, against the withheld fixes", outage_table(result).table("")))
     joint = nis(result)
     if joint.groups:
-        out.append(("Innovations", joint.table()))
+        out.append(("NIS of the fixes, before the gate", joint.table("")))
     return out
 
 

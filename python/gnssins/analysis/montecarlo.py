@@ -167,7 +167,8 @@ def monte_carlo(
     Parameters
     ----------
     simulator : Simulator
-        Such as ``gnssins.sim.Simulator("fomichev-tan-2017")``. With ``truth_rate_hz`` it needs less memory.
+        Such as ``gnssins.Simulator("fomichev-tan-2017")``, its truth at the rate of the IMU: a sparse truth would
+        have to be interpolated, which costs more accuracy in turns than the filter has to show.
     config : Config, mapping or path
         With ``covariance_interval_s``; an ``output_rate_hz`` of 1 saves most of the time and memory. Gaps come
         from ``[run] outages`` or from the simulator.

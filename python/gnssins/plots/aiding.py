@@ -56,17 +56,18 @@ def innovations(result: Result) -> Figure:
             good, out = seen & ~rejected, seen & rejected
             sd = np.sqrt(r.innovation_cov[:, i, i])
             _bands(ax, time[seen], sd[seen])
-            x, y = style.thin(time[good], r.innovation[good, i], points=_DOTS)
-            ax.plot(x, y, ".", ms=2.5, color=COLORS["blue"], label="used")
+            top = _top(r.innovation[good, i], sd[good])
+            _dots(ax, time[good], r.innovation[good, i], top)
             if out.any():
-                ax.plot(
-                    time[out], r.innovation[out, i], "x", ms=5, mew=1.2, color=COLORS["red"], label="rejected"
-                )
+                inside = out & (np.abs(r.innovation[:, i]) <= top)
+                mark: dict[str, Any] = {"color": COLORS["red"], "mew": 1.2, "label": "rejected"}
+                ax.plot(time[inside], r.innovation[inside, i], "x", ms=5, **mark)
+                _beyond(ax, time[out], r.innovation[out, i], top)
             ax.axhline(0.0, color=COLORS["black"], lw=0.6)
             style.label(ax, f"{_NAMES[row]} ({unit})")
             if row == 0:
                 style.note(ax, name)
-            _limit(ax, r.innovation[good, i], sd[good])
+            ax.set_ylim(-top, top)
     style.legend(figure, axes.ravel().tolist())
     return figure
 
@@ -128,8 +129,23 @@ def _bands(ax: Axes, time: Array, sd: Array) -> None:
     ax.fill_between(x, -y, y, **BAND)
 
 
-def _limit(ax: Axes, values: Array, sd: Array) -> None:
-    """Limits from the fixes that were used, so that one wild fix does not flatten the rest."""
-    if values.size:
-        top = max(float(np.abs(values).max()), 3.5 * float(np.median(sd)))
-        ax.set_ylim(-1.1 * top, 1.1 * top)
+def _top(values: Array, sd: Array) -> float:
+    """Half height of the axes: what nearly all fixes that were used need, so that a few do not flatten the rest."""
+    if not values.size:
+        return 1.0
+    return max(1.3 * float(np.quantile(np.abs(values), 0.99)), 4.0 * float(np.median(sd)), 1e-9)
+
+
+def _dots(ax: Axes, time: Array, values: Array, top: float) -> None:
+    inside = np.abs(values) <= top
+    x, y = style.thin(time[inside], values[inside], points=_DOTS)
+    ax.plot(x, y, ".", ms=2.5, color=COLORS["blue"], label="used")
+    _beyond(ax, time, values, top, COLORS["blue"])
+
+
+def _beyond(ax: Axes, time: Array, values: Array, top: float, color: str = COLORS["red"]) -> None:
+    """Mark values outside the axes at their edge."""
+    for outside, marker, edge in ((values > top, "^", 0.97 * top), (values < -top, "v", -0.97 * top)):
+        if outside.any():
+            at = np.full(int(outside.sum()), edge)
+            ax.plot(time[outside], at, marker, ms=4, color=color, ls="", label="beyond the axis", zorder=4)

@@ -70,7 +70,9 @@ def biases(result: Result, truth: Parameters | None = None) -> Figure:
                 style.label(ax, unit.label)
             settled = slice(len(time) // 10, None)
             top = max(
-                top, float((np.abs(value) + 3.0 * sd)[settled].max(initial=0.0)), float(np.abs(value).max())
+                top,
+                float((np.abs(value) + 3.0 * sd)[settled].max(initial=0.0)),
+                float(np.quantile(np.abs(value), 0.97)),
             )
         for column in range(_COLUMNS):
             axes[row, column].set_visible(column < len(members))

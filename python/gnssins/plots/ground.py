@@ -71,15 +71,16 @@ def track(result: Result, truth: Trajectory | None = None) -> Figure:
             label="reference",
             zorder=5,
         )
-    for point, text in ((plane[0], "start"), (plane[-1], "end")):
-        left = point[0] > plane[:, 0].mean()
+    # the two labels point away from each other: a round trip ends where it started
+    for point, text, side in ((plane[0], "start", 1), (plane[-1], "end", -1)):
         above.plot(*(point / scale), "o", ms=6, mfc="white", mec=COLORS["black"], zorder=6)
         above.annotate(
             text,
             point / scale,
-            xytext=(-7 if left else 7, 7),
+            xytext=(7 * side, 7 * side),
             textcoords="offset points",
-            ha="right" if left else "left",
+            ha="left" if side > 0 else "right",
+            va="bottom" if side > 0 else "top",
             fontsize=9,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1.0},
             zorder=5,

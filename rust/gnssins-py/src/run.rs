@@ -75,27 +75,20 @@ impl Columns {
     }
 }
 
-/// Emits at the first row and then wherever a multiple of the interval is reached.
+/// Emits at the first row and then at the first row of each multiple of the interval, so that all outputs of a log, and
+/// those of other logs on the same clock, share one grid.
 struct Grid {
     interval_ns: i64,
-    next_ns: Option<i64>,
+    cell: Option<i64>,
 }
 
 impl Grid {
     fn new(interval_ns: i64) -> Self {
-        Self { interval_ns, next_ns: None }
+        Self { interval_ns: interval_ns.max(1), cell: None }
     }
 
     fn due(&mut self, t_ns: i64) -> bool {
-        match self.next_ns {
-            Some(next) if t_ns < next => false,
-            previous => {
-                let base = previous.unwrap_or(t_ns);
-                let steps = (t_ns - base).checked_div(self.interval_ns).unwrap_or(0) + 1;
-                self.next_ns = Some(base + steps * self.interval_ns);
-                true
-            }
-        }
+        self.cell.replace(t_ns.div_euclid(self.interval_ns)) != Some(t_ns.div_euclid(self.interval_ns))
     }
 }
 

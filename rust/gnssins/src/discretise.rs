@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::blocks::{Coupling, Input, Source};
 use crate::error::Error;
 use crate::layout::Layout;
-use crate::nav::{DV, Dynamics, Matrix9, NAV, PHI};
+use crate::nav::{DV, Dynamics, NAV, PHI};
 
 /// Highest power of F dt in the series of the transition matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -100,40 +100,34 @@ const ACCEL: usize = NAV + 3;
 type Wide = [[f64; WIDTH]; NAV];
 
 fn widen(dynamics: &Dynamics) -> Wide {
-    let (gyro, accel) = (dynamics.gyro_coupling(), dynamics.accel_coupling());
-    core::array::from_fn(|i| {
-        core::array::from_fn(|j| match j {
-            0..GYRO => dynamics.f[(i, j)],
-            GYRO..ACCEL => gyro[(i, j - GYRO)],
-            ACCEL..15 => accel[(i, j - ACCEL)],
-            _ => 0.0,
-        })
-    })
+    let mut wide = [[0.0; WIDTH]; NAV];
+    for j in 0..NAV {
+        for i in 0..NAV {
+            wide[i][j] = dynamics.f[(i, j)];
+        }
+    }
+    for j in 0..3 {
+        for i in 0..3 {
+            wide[PHI + i][GYRO + j] = -dynamics.c[(i, j)];
+            wide[DV + i][ACCEL + j] = dynamics.c[(i, j)];
+        }
+    }
+    wide
 }
 
 /// F times nine rows; about half of F is zero and is skipped.
-fn times_f(f: &Matrix9, x: &Wide) -> Wide {
+fn times_f(f: &Wide, x: &Wide) -> Wide {
     let mut out = [[0.0; WIDTH]; NAV];
-    for (i, row) in out.iter_mut().enumerate() {
-        for (k, x) in x.iter().enumerate() {
-            let a = f[(i, k)];
+    for (row, factors) in out.iter_mut().zip(f) {
+        let mut sum = [0.0; WIDTH];
+        for (&a, x) in factors.iter().zip(x) {
             if a != 0.0 {
-                for (o, x) in row.iter_mut().zip(x) {
-                    *o += a * x;
+                for (s, x) in sum.iter_mut().zip(x) {
+                    *s += a * x;
                 }
             }
         }
-    }
-    out
-}
-
-/// `a x + b y`, element by element.
-fn combine(a: f64, x: &Wide, b: f64, y: &Wide) -> Wide {
-    let mut out = [[0.0; WIDTH]; NAV];
-    for ((o, x), y) in out.iter_mut().zip(x).zip(y) {
-        for ((o, x), y) in o.iter_mut().zip(x).zip(y) {
-            *o = a * x + b * y;
-        }
+        *row = sum;
     }
     out
 }
@@ -154,7 +148,7 @@ impl<const CAP: usize> Transition<CAP> {
         blocks: &BlockStep<CAP>,
         order: Order,
     ) -> Self {
-        let Dynamics { f, c } = dynamics;
+        let c = &dynamics.c;
         let dt = blocks.dt_s;
         // F^k [F | g]: the series of Phi_nn, and of a coupling column with decay rate a,
         // Phi_nb = c1 + a c2 + a² c3, c1 = g dt + F g dt²/2 + F² g dt³/6, c2 = g dt²/2 + F g dt³/6, c3 = g dt³/6
@@ -163,14 +157,18 @@ impl<const CAP: usize> Transition<CAP> {
         let zero = [[0.0; WIDTH]; NAV];
         let (x2, x3, h2, h3) = match order {
             Order::First => (zero, zero, 0.0, 0.0),
-            Order::Second => (times_f(f, &x1), zero, h2, 0.0),
+            Order::Second => (times_f(&x1, &x1), zero, h2, 0.0),
             Order::Third => {
-                let x2 = times_f(f, &x1);
-                (x2, times_f(f, &x2), h2, h3)
+                let x2 = times_f(&x1, &x1);
+                (x2, times_f(&x1, &x2), h2, h3)
             }
         };
-        let c2 = combine(h2, &x1, h3, &x2);
-        let c1 = combine(1.0, &combine(dt, &x1, h2, &x2), h3, &x3);
+        let mut c1 = zero;
+        for i in 0..NAV {
+            for j in 0..WIDTH {
+                c1[i][j] = dt * x1[i][j] + h2 * x2[i][j] + h3 * x3[i][j];
+            }
+        }
 
         let mut top = [[0.0; CAP]; NAV];
         for (i, (row, c1)) in top.iter_mut().zip(&c1).enumerate() {
@@ -189,7 +187,8 @@ impl<const CAP: usize> Transition<CAP> {
             };
             let (k, a) = (start + axis, state.decay);
             for i in 0..NAV {
-                top[i][j] = factor * (c1[i][k] + a * (c2[i][k] + a * h3 * x1[i][k]));
+                let decaying = if a == 0.0 { 0.0 } else { h2 * x1[i][k] + h3 * (x2[i][k] + a * x1[i][k]) };
+                top[i][j] = factor * (c1[i][k] + a * decaying);
             }
         }
         // the halves of a product and of its transpose: symmetric to the last bit

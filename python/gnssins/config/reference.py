@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 from .root import Config
 from .schema import find_model, has_plain_form, is_list
 
-_WIDTH = 110
+_WIDTH = 88
 _HEAD = """\
 # gnssins configuration: all keys. A key that stands here with a value has that default;
 # a key behind '#' has no default, and its value is an example.

@@ -113,9 +113,6 @@ mod tests {
                 assert!((x[i][j] - l[j][i]).abs() < 1e-14);
             }
         }
-        let mut singular = a;
-        singular[1] = singular[0];
-        singular[1][0] = singular[0][0];
         assert!(cholesky(&[[1.0; 6]; 6], 6).is_none());
     }
 }

@@ -8,6 +8,7 @@ use gnssins::blocks::{Block, BlockKind, Process};
 use gnssins::ekf::{Ekf, Initial, Settings};
 use gnssins::error::Error;
 use gnssins::frames::Lla;
+use gnssins::imu::Rates;
 use gnssins::meas::gnss::GnssFix;
 use gnssins::meas::{Measurement, Record, Status, View};
 use gnssins::nav::ecef::Ecef;
@@ -188,6 +189,33 @@ fn one_velocity_component_alone_has_one_degree_of_freedom() {
 }
 
 #[test]
+fn the_lever_arm_turns_with_the_corrected_rate_of_the_interval_or_of_the_stamp() {
+    let lever_b_m = Vector3::new(3.0, -2.0, 4.0);
+    let bias = Vector3::new(0.02, -0.01, 0.03);
+    let mut blocks = common::blocks(15);
+    blocks[0].initial[..3].copy_from_slice(bias.as_slice());
+    let innovation = |rates: Option<[Vector3<f64>; 2]>, w: &Vector3<f64>| {
+        let set = Settings { lever_b_m, ..settings() };
+        let mut ekf = Ekf::<Ned, 16>::new(&set, &blocks, &initial(somewhere())).unwrap();
+        match rates {
+            None => ekf.predict(DT_NS, &((W_B + bias) * 0.01), &(F_B * 0.01)).unwrap(),
+            Some(ends) => {
+                let [a, b] = ends.map(|gyro| Rates { gyro: gyro + bias, accel: F_B });
+                ekf.predict_rates(DT_NS, &a, &b).unwrap();
+            }
+        }
+        let (_, v) = common::antenna(&ekf.solution(), &lever_b_m, w);
+        let mut z = fix(DT_NS, &ekf.solution(), 1.0, 0.1);
+        (z.position, z.velocity_n) = (None, [0, 1, 2].map(|i| Some(v[i])));
+        Vector3::from_column_slice(&ekf.update(0, &z).unwrap().innovation[3..])
+    };
+    assert!(innovation(None, &W_B).amax() < 1e-9);
+    let other = Vector3::new(-0.4, 0.2, 0.7);
+    assert!(innovation(Some([W_B, other]), &other).amax() < 1e-9, "a sample at the stamp is the rate there");
+    assert!(innovation(Some([W_B, other]), &W_B).amax() > 1.0);
+}
+
+#[test]
 fn attitude_reset_is_the_derivative_of_the_error_after_feedback() {
     let phi_hat = Vector3::new(0.2, -0.3, 0.25);
     let model = Ned::new(EarthModel::default(), &somewhere()).unwrap();
@@ -288,4 +316,26 @@ fn bytes_of_the_other_model_are_refused() {
     let mut other = predicted::<Ned>(&settings(), &all_columns(), &initial(somewhere()), 3);
     let result = restore(&mut other, &bytes(&ekf));
     assert!(matches!(result, Err(Error::SavedState { .. })), "{result:?}");
+}
+
+#[test]
+fn saved_numbers_that_are_not_finite_or_indefinite_are_refused() {
+    fn check<M: NavModel>() {
+        let ekf = predicted::<M>(&settings(), &all_columns(), &initial(somewhere()), 30);
+        let (saved, n) = (bytes(&ekf), ekf.layout().len());
+        let mut other = predicted::<M>(&settings(), &all_columns(), &initial(somewhere()), 3);
+        let before = bytes(&other);
+        // count, fingerprint and time; then solution, parameters, covariance, and last increments and rate
+        let (solution, last) = (3, saved.len() / 8 - 10);
+        let previous = last - 1;
+        for word in (solution..saved.len() / 8).filter(|w| *w != previous) {
+            let mut spoilt = saved.clone();
+            spoilt[8 * word..8 * word + 8].copy_from_slice(&f64::NAN.to_bits().to_le_bytes());
+            let result = restore(&mut other, &spoilt);
+            assert!(result.is_err(), "{} word {word} of {}, {n} states", M::NAME, saved.len() / 8);
+            assert_eq!(bytes(&other), before);
+        }
+    }
+    check::<Ned>();
+    check::<Ecef>();
 }

@@ -57,7 +57,10 @@ pub trait Engine: Send + Sync {
     fn restore(&mut self, saved: &[u8]) -> Result<(), Error>;
 }
 
-impl<M: NavModel + Send + Sync, const CAP: usize> Engine for Navigator<M, CAP> {
+/// Fixes that may wait for an IMU row: logs with long gaps are read too.
+const PENDING: usize = 1024;
+
+impl<M: NavModel + Send + Sync, const CAP: usize> Engine for Navigator<M, CAP, PENDING> {
     fn imu(
         &mut self,
         t_ns: i64,
@@ -153,5 +156,5 @@ fn boxed<M: NavModel + Send + Sync + 'static, const CAP: usize>(
 ) -> PyResult<Box<dyn Engine>> {
     let ekf = Ekf::<M, CAP>::new(&config.settings(py)?, &config.blocks(py)?, &config.initial(py)?)
         .map_err(|e| errors::from_crate(py, &e))?;
-    Ok(Box::new(Navigator::new(ekf, config.stream(py)?)))
+    Ok(Box::new(Navigator::<M, CAP, PENDING>::with_queue(ekf, config.stream(py)?)))
 }

@@ -306,7 +306,7 @@ pub fn event_list<'py>(
     let list = PyList::empty(py);
     for e in events {
         let code = e.kind.code();
-        let mapped = order.filter(|_| code.starts_with("gnss.")).and_then(|o| o.get(e.row as usize));
+        let mapped = order.filter(|_| !code.starts_with("imu.")).and_then(|o| o.get(e.row as usize));
         let row = mapped.map_or(e.row, |&r| r as u64);
         let d = PyDict::new(py);
         d.set_item("t_ns", e.t_ns)?;

@@ -136,9 +136,12 @@ impl<const CAP: usize> Covariance<CAP> {
         out
     }
 
-    /// `P <- factor P`.
-    pub(crate) fn scale(&mut self, factor: f64) {
-        self.p.iter_mut().flatten().for_each(|p| *p *= factor);
+    /// Multiplies a state's sigma, its correlations unchanged.
+    pub(crate) fn scale_state(&mut self, i: usize, factor: f64) {
+        for j in 0..self.n {
+            self.p[i][j] *= factor;
+            self.p[j][i] *= factor;
+        }
     }
 
     /// `P <- G P G'` where G differs from I only in the 3x3 block at `start`.

@@ -10,7 +10,7 @@ use crate::discretise::{BlockStep, ImuNoise, Order, Transition};
 use crate::error::Error;
 use crate::imu::{Calibration, Coning, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
-use crate::meas::{Measurement, Record, Rows, Status, View};
+use crate::meas::{BadReason, Measurement, Record, Rows, Status, View};
 use crate::nav::{DP, DV, Dynamics, EarthModel, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
 use crate::small::{self, ROWS_MAX};
 
@@ -279,8 +279,17 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             }
             self.refresh_sensors()?;
         }
+        let second = |t: i64| t.div_euclid(1_000_000_000);
+        let new_second = second(t_ns) != second(self.t_ns);
         self.t_ns = t_ns;
-        Ok(())
+        if new_second { self.check() } else { Ok(()) }
+    }
+
+    /// Health of the covariance, looked at once per second and after every measurement.
+    fn check(&self) -> Result<(), Error> {
+        self.cov.check(self.t_ns)?;
+        let sd_m = (DP..DP + 3).map(|i| crate::math::sqrt(self.cov.get(i, i))).fold(0.0, f64::max);
+        if sd_m > UNKNOWN_M { Err(Error::Unbounded { t_ns: self.t_ns, sd_m }) } else { Ok(()) }
     }
 
     fn refresh_sensors(&mut self) -> Result<(), Error> {
@@ -315,7 +324,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             Ok(rows) => rows,
             Err(reason) => return Ok(Record::unevaluated(row, t_ns, Status::Bad(reason))),
         };
-        let mut record = self.evaluate(row, t_ns, &rows)?;
+        let bad = |reason| Ok(Record::unevaluated(row, t_ns, Status::Bad(reason)));
+        if rows.len > ROWS_MAX || rows.component.iter().any(|c| *c >= ROWS_MAX) {
+            return bad(BadReason::Value);
+        }
+        let mut record = match self.evaluate(row, t_ns, &rows)? {
+            Ok(record) => record,
+            Err(reason) => return bad(reason),
+        };
         if record.nis > self.gates[rows.len] {
             record.status = Status::Rejected;
             return Ok(record);
@@ -325,15 +341,27 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     }
 
     /// Multiplies the covariance: the declared remedy where the filter was found overconfident by this factor (of
-    /// variance). Factors below 1 and non-finite ones do nothing.
+    /// variance). Attitude sigmas grow to 1 rad at most. Factors below 1 and non-finite ones do nothing.
     pub fn raise_covariance(&mut self, factor: f64) {
-        if factor.is_finite() && factor > 1.0 {
-            self.cov.scale(factor);
+        if !factor.is_finite() || factor <= 1.0 {
+            return;
+        }
+        let root = crate::math::sqrt(factor);
+        for i in 0..self.layout.len() {
+            let sd = crate::math::sqrt(self.cov.get(i, i));
+            let limit = if i < DV { (1.0 / sd).max(1.0) } else { f64::INFINITY };
+            self.cov.scale_state(i, root.min(limit));
         }
     }
 
+    /// Body rate (rad/s) as measured at the present time, before the first interval: velocity aids with a lever arm
+    /// need it.
+    pub(crate) fn set_body_rate(&mut self, gyro: &Vector3<f64>) {
+        self.w_ib_b = self.sensors[0].rate(gyro);
+    }
+
     /// Innovation, its covariance and NIS on the prior.
-    fn evaluate(&self, row: u64, t_ns: i64, rows: &Rows<CAP>) -> Result<Record, Error> {
+    fn evaluate(&self, row: u64, t_ns: i64, rows: &Rows<CAP>) -> Result<Result<Record, BadReason>, Error> {
         let mut record = Record::unevaluated(row, t_ns, Status::Used);
         record.dof = rows.len;
         let mut s = rows.r;
@@ -342,12 +370,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             for j in 0..rows.len {
                 s[i][j] += rows.h[j].iter().zip(&ph).map(|(h, p)| h * p).sum::<f64>();
             }
+            if s[i][i] > PRECISION * rows.r[i][i] {
+                return Ok(Err(BadReason::Covariance));
+            }
         }
-        let l = small::cholesky(&s, rows.len).ok_or(Error::Covariance {
-            t_ns: self.t_ns,
-            state: DP,
-            pivot: s[0][0],
-        })?;
+        let Some(l) = small::cholesky(&s, rows.len) else {
+            self.cov.check(self.t_ns)?;
+            return Ok(Err(BadReason::Covariance));
+        };
         let mut white = rows.y.map(|y| [y]);
         small::forward(&l, &mut white, rows.len);
         record.nis = white.iter().take(rows.len).map(|w| w[0] * w[0]).sum();
@@ -359,11 +389,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
                 record.innovation_cov[c][rows.component[j]] = s[i][j];
             }
         }
-        if record.nis.is_finite() {
-            Ok(record)
-        } else {
-            Err(Error::NonFinite { what: "NIS", t_ns: self.t_ns })
-        }
+        Ok(if record.nis.is_finite() { Ok(record) } else { Err(BadReason::Value) })
     }
 
     fn fuse(&mut self, mut rows: Rows<CAP>) -> Result<(), Error> {
@@ -381,7 +407,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             }
         }
         self.feed_back(&x)?;
-        self.cov.check(self.t_ns)
+        self.check()
     }
 
     /// Moves the error estimate into the state. The attitude error is then measured from another estimate,
@@ -510,12 +536,22 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let [dtheta, dvel, w] = v.map(Vector3::from);
         next.previous = some.then_some(ImuDelta { dt_s: dt[0], dtheta, dvel });
         next.w_ib_b = w;
+        let numbers = next.params.iter().chain(&dt).chain(v.iter().flatten());
+        if !numbers.copied().all(f64::is_finite) {
+            return Err(Error::NonFinite { what: "saved state", t_ns: next.t_ns });
+        }
         next.refresh_sensors()?;
         next.cov.check(next.t_ns)?;
         *self = next;
         Ok(())
     }
 }
+
+/// Position sigma at which a solution is none, m: far below where the covariance loses its digits.
+const UNKNOWN_M: f64 = 1e6;
+
+/// Largest ratio of prior variance over noise variance that a full covariance in double precision can take in.
+const PRECISION: f64 = 1e15;
 
 const NO_NOISE: ImuNoise =
     ImuNoise { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };

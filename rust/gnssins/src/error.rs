@@ -81,6 +81,14 @@ pub enum Error {
         /// The offending pivot of the scaled matrix.
         pivot: f64,
     },
+    /// Without aids the position has become unknown: the numbers mean nothing any more.
+    #[error("position sigma {sd_m} m at t = {t_ns} ns")]
+    Unbounded {
+        /// Time of the filter, ns.
+        t_ns: i64,
+        /// Largest position sigma, m.
+        sd_m: f64,
+    },
     /// More measurements wait for the next IMU sample than the queue holds; the new one was not taken.
     #[error("{pending} measurements wait for an IMU sample later than {t_ns} ns, capacity {pending}")]
     QueueFull {
@@ -114,6 +122,7 @@ impl Error {
             Error::Future { .. } => "time.future",
             Error::Gap { .. } => "gap.imu",
             Error::Covariance { .. } => "cov.not_positive_definite",
+            Error::Unbounded { .. } => "state.unbounded",
             Error::QueueFull { .. } => "time.queue_full",
             Error::SavedState { .. } => "state.saved",
         }
@@ -137,6 +146,7 @@ impl Error {
             Error::Covariance { .. } => {
                 "check initial sigmas and noise densities for extreme ratios, and the measurement covariance"
             }
+            Error::Unbounded { .. } => "end the run at the last fix, or start a new one where fixes return",
             Error::QueueFull { .. } => "feed IMU samples before later measurements",
             Error::SavedState { .. } => "restore with the configuration that saved it",
         }

@@ -110,7 +110,7 @@ impl Strap {
     /// With rates that vary linearly over both intervals, and k = dt²/(6 dt₁ (dt₁ + dt)) (1/12 for equal ones):
     /// $$\alpha=\Delta\theta+k\,\Delta\theta_1\times\Delta\theta,\quad
     ///   u=\Delta v+\tfrac12\Delta\theta\times\Delta v+k(\Delta\theta_1\times\Delta v+\Delta v_1\times\Delta\theta)$$
-    /// Savage (2000), eq. 7.1.1.1.1-1 and 7.2.2.2.2-15 for equal intervals.
+    /// Savage (2000), sections 7.1.1.1 and 7.2.2.2, for equal intervals.
     #[must_use]
     pub fn from_increments(now: &ImuDelta, previous: Option<&ImuDelta>) -> Self {
         let mut alpha = now.dtheta;

@@ -8,11 +8,18 @@ use crate::ekf::Ekf;
 use crate::error::Error;
 use crate::imu::{Calibration, ImuInput, Rates};
 use crate::meas::gnss::GnssFix;
-use crate::meas::{Measurement, Record, Status};
+use crate::meas::{BadReason, Measurement, Record, Status};
 use crate::nav::NavModel;
 
-/// Fixes that may wait for the next IMU sample.
+/// Fixes that may wait for the next IMU sample, unless the type says otherwise.
 pub const PENDING_MAX: usize = 32;
+
+/// Change of the angular rate that a vehicle may make unseen in a gap, rad/s per s, and its largest rate, rad/s.
+const GAP_GYRO_SLOPE: f64 = 0.1;
+const GAP_GYRO_MOST: f64 = 0.5;
+/// The same of the specific force, m/s² per s and m/s².
+const GAP_ACCEL_SLOPE: f64 = 1.0;
+const GAP_ACCEL_MOST: f64 = 5.0;
 
 /// An interval longer than this many usual ones is a gap, for increments and mean rates: a row is missing.
 const GAP_FACTOR_MEAN: f64 = 1.8;
@@ -203,14 +210,16 @@ struct Last {
 
 /// A filter fed by rows: the same object serves logs and live streams.
 #[derive(Debug, Clone)]
-pub struct Navigator<M, const CAP: usize> {
+pub struct Navigator<M, const CAP: usize, const PENDING: usize = PENDING_MAX> {
     ekf: Ekf<M, CAP>,
     settings: StreamSettings,
     last: Option<Last>,
     intervals: Intervals,
     saturated: bool,
     refused: Refused,
-    pending: [Option<(u64, GnssFix)>; PENDING_MAX],
+    pending: [Option<(u64, GnssFix)>; PENDING],
+    /// Fixes that wait: the first so many places of `pending`.
+    waiting: usize,
     imu: Counts,
     gnss: Counts,
 }
@@ -224,28 +233,33 @@ struct Refused {
 }
 
 /// Intervals that the usual one is taken from.
-const INTERVALS: usize = 9;
+const INTERVALS: usize = 8;
 
 /// The latest IMU intervals. Their median is the usual one: a single gap or jittered stamp does not move it, a lasting
-/// change of rate does after a few rows.
+/// change of rate does after a few rows. Stamps that come early and late in turn are told from missing rows by what the
+/// early ones owe.
 #[derive(Debug, Clone, Copy)]
 struct Intervals {
     recent: [i64; INTERVALS],
     next: usize,
+    /// Time by which stamps came early and which a long interval may make up for, ns.
+    owed_ns: i64,
 }
 
 impl Intervals {
     fn push(&mut self, dt_ns: i64) {
+        if let Some(usual) = self.usual_ns() {
+            self.owed_ns = self.owed_ns.saturating_add(usual.saturating_sub(dt_ns)).clamp(0, usual);
+        }
         self.recent[self.next % INTERVALS] = dt_ns;
         self.next = (self.next + 1) % INTERVALS;
     }
 
-    /// Median, ns, or `None` while fewer than three are known.
+    /// Median, ns, or `None` until the window is full.
     fn usual_ns(&self) -> Option<i64> {
         let mut sorted = self.recent;
         sorted.sort_unstable();
-        let known = sorted.iter().filter(|dt| **dt > 0).count();
-        (known >= 3).then(|| sorted[INTERVALS - known + known / 2])
+        (sorted[0] > 0).then(|| sorted[INTERVALS / 2 - 1] / 2 + sorted[INTERVALS / 2] / 2)
     }
 }
 
@@ -258,21 +272,32 @@ struct Interval {
     /// Whole increments where the rows hold them.
     increments: Option<(Vector3<f64>, Vector3<f64>)>,
     extra: ImuNoise,
+    /// Longest step, ns: a bridged gap is crossed in steps of the usual length.
+    step_ns: i64,
 }
 
 impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
-    /// Around a filter at its start.
+    /// Around a filter at its start, with room for [`PENDING_MAX`] fixes that wait.
     #[must_use]
     pub const fn new(ekf: Ekf<M, CAP>, settings: StreamSettings) -> Self {
+        Self::with_queue(ekf, settings)
+    }
+}
+
+impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PENDING> {
+    /// Around a filter at its start, with room for `PENDING` fixes that wait for the next IMU row.
+    #[must_use]
+    pub const fn with_queue(ekf: Ekf<M, CAP>, settings: StreamSettings) -> Self {
         const NONE: Counts = Counts { total: 0, used: 0, rejected: 0, late: 0, bad: 0 };
         Self {
             ekf,
             settings,
             last: None,
-            intervals: Intervals { recent: [0; INTERVALS], next: 0 },
+            intervals: Intervals { recent: [0; INTERVALS], next: 0, owed_ns: 0 },
             saturated: false,
             refused: Refused { count: 0, ratio: 0.0 },
-            pending: [None; PENDING_MAX],
+            pending: [None; PENDING],
+            waiting: 0,
             imu: NONE,
             gnss: NONE,
         }
@@ -350,6 +375,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         }
         if t_ns <= now {
             // the row at the start is its first sample; earlier ones only tell the rate of the row after them
+            self.ekf.set_body_rate(&rates.gyro);
             return Ok(t_ns == now);
         }
         let from_ns = previous.map_or(now, |l| l.t_ns);
@@ -360,8 +386,15 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
                 let increments = (self.settings.input == ImuInput::Increments)
                     .then(|| self.calibrated_increments(&raw, row_dt_s));
                 let start = if sampled { start } else { rates };
-                let interval =
-                    Interval { from_ns, to_ns: t_ns, start, end: rates, increments, extra: NO_NOISE };
+                let interval = Interval {
+                    from_ns,
+                    to_ns: t_ns,
+                    start,
+                    end: rates,
+                    increments,
+                    extra: NO_NOISE,
+                    step_ns: i64::MAX,
+                };
                 self.run(&interval, sink)?;
             }
             Some(kind) => {
@@ -386,10 +419,10 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         }
         let slot = self
             .pending
-            .iter_mut()
-            .find(|s| s.is_none())
-            .ok_or(Error::QueueFull { pending: PENDING_MAX, t_ns: self.ekf.t_ns() })?;
+            .get_mut(self.waiting)
+            .ok_or(Error::QueueFull { pending: PENDING, t_ns: self.ekf.t_ns() })?;
         *slot = Some((row, fix));
+        self.waiting += 1;
         self.gnss.total += 1;
         Ok(())
     }
@@ -442,7 +475,8 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             };
         }
         let factor = if self.settings.input == ImuInput::Rates { GAP_FACTOR_RATES } else { GAP_FACTOR_MEAN };
-        let gap = usual.is_some_and(|usual| dt_ns as f64 > factor * usual as f64);
+        let due_ns = dt_ns.saturating_sub(self.intervals.owed_ns);
+        let gap = usual.is_some_and(|usual| due_ns as f64 > factor * usual as f64);
         Ok(gap.then_some(EventKind::ImuGap))
     }
 
@@ -478,8 +512,9 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         self.saturated = now;
     }
 
-    /// Crosses a gap. In between the rates may have been anywhere between those of its ends: constant over the gap and
-    /// uniform between them, variance Δ²/12, a density Δ² T/12 over the gap's length T.
+    /// Crosses a gap of length T in steps of the usual length. In between the rates may have been anywhere between those
+    /// of its ends, or have changed and come back: constant over the gap with the variance Δ²/12 + (s T/2)², a density
+    /// of T times that, where s is what a vehicle may change its rates by in a second.
     fn bridge(
         &mut self,
         from_ns: i64,
@@ -491,22 +526,38 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     ) -> Result<(), Error> {
         self.ekf.break_increments();
         let length_s = seconds(to_ns, from_ns);
-        let density = |a: &Vector3<f64>, b: &Vector3<f64>| (b - a).map(|d| d * d * length_s / 12.0);
-        let extra = ImuNoise {
-            gyro_psd: density(&start.gyro, &end.gyro),
-            accel_psd: density(&start.accel, &end.accel),
+        let density = |a: &Vector3<f64>, b: &Vector3<f64>, slope: f64, most: f64| {
+            let unseen = (0.5 * slope * length_s).min(most);
+            (b - a).map(|d| (d * d / 12.0 + unseen * unseen) * length_s)
         };
+        let extra = ImuNoise {
+            gyro_psd: density(&start.gyro, &end.gyro, GAP_GYRO_SLOPE, GAP_GYRO_MOST),
+            accel_psd: density(&start.accel, &end.accel, GAP_ACCEL_SLOPE, GAP_ACCEL_MOST),
+        };
+        let step_ns = self.intervals.usual_ns().unwrap_or(row_dt_ns).max(1_000_000);
         if self.settings.input == ImuInput::Rates {
-            let whole = Interval { from_ns, to_ns, start: *start, end: *end, increments: None, extra };
+            let whole =
+                Interval { from_ns, to_ns, start: *start, end: *end, increments: None, extra, step_ns };
             return self.run(&whole, sink);
         }
-        // the row itself covers only its own interval; the hole before it gets the mean of both neighbours
-        let middle_ns = to_ns.saturating_sub(row_dt_ns).max(from_ns);
+        // the row itself covers only its own interval, where that is known; the hole before it gets the mean of both
+        // neighbours
+        let known_ns = self.intervals.usual_ns().map_or(0, |_| row_dt_ns);
+        let middle_ns = to_ns.saturating_sub(known_ns).max(from_ns);
         let mean = start.towards(end, 0.5);
-        let hole = Interval { from_ns, to_ns: middle_ns, start: mean, end: mean, increments: None, extra };
+        let hole =
+            Interval { from_ns, to_ns: middle_ns, start: mean, end: mean, increments: None, extra, step_ns };
         self.run(&hole, sink)?;
-        let own =
-            Interval { from_ns: middle_ns, to_ns, start: *end, end: *end, increments: None, extra: NO_NOISE };
+        self.ekf.break_increments();
+        let own = Interval {
+            from_ns: middle_ns,
+            to_ns,
+            start: *end,
+            end: *end,
+            increments: None,
+            extra: NO_NOISE,
+            step_ns: i64::MAX,
+        };
         self.run(&own, sink)
     }
 
@@ -522,10 +573,15 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     }
 
     fn propagate(&mut self, interval: &Interval, target_ns: i64) -> Result<(), Error> {
-        let now = self.ekf.t_ns();
-        if target_ns <= now {
-            return Ok(());
+        while self.ekf.t_ns() < target_ns {
+            let next_ns = self.ekf.t_ns().saturating_add(interval.step_ns).min(target_ns);
+            self.step(interval, next_ns)?;
         }
+        Ok(())
+    }
+
+    fn step(&mut self, interval: &Interval, target_ns: i64) -> Result<(), Error> {
+        let now = self.ekf.t_ns();
         let length = seconds(interval.to_ns, interval.from_ns);
         let at = |t_ns: i64| interval.start.towards(&interval.end, seconds(t_ns, interval.from_ns) / length);
         let whole = now == interval.from_ns && target_ns == interval.to_ns;
@@ -544,12 +600,14 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     }
 
     fn fuse(&mut self, row: u64, fix: &GnssFix, sink: &mut impl Sink) -> Result<(), Error> {
-        let mut record = self.ekf.update(row, fix)?;
-        if let Some(factor) = self.reset_factor(&record) {
-            self.ekf.raise_covariance(factor);
-            sink.event(&Event { t_ns: fix.t_ns, row, kind: EventKind::FilterReset, value: factor });
-            record = self.ekf.update(row, fix)?;
-        }
+        let record = match self.update(row, fix, sink) {
+            Ok(record) => record,
+            Err(error) => {
+                self.gnss.bad += 1;
+                sink.record(&Record::unevaluated(row, fix.t_ns, Status::Bad(BadReason::Fatal)));
+                return Err(error);
+            }
+        };
         let (counter, event) = match record.status {
             Status::Used => (&mut self.gnss.used, None),
             Status::Rejected => (&mut self.gnss.rejected, Some((EventKind::GnssRejected, record.nis))),
@@ -564,6 +622,15 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         }
         sink.record(&record);
         Ok(())
+    }
+
+    /// Fuses a fix, after a declared reset where too many were refused.
+    fn update(&mut self, row: u64, fix: &GnssFix, sink: &mut impl Sink) -> Result<Record, Error> {
+        let record = self.ekf.update(row, fix)?;
+        let Some(factor) = self.reset_factor(&record) else { return Ok(record) };
+        self.ekf.raise_covariance(factor);
+        sink.event(&Event { t_ns: fix.t_ns, row, kind: EventKind::FilterReset, value: factor });
+        self.ekf.update(row, fix)
     }
 
     /// Follows the fixes refused in a row; when there are too many, the mean of their NIS per degree of freedom is the
@@ -586,22 +653,25 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
     }
 
     fn next_pending_ns(&self) -> Option<i64> {
-        self.pending.iter().flatten().map(|(_, fix)| fix.t_ns).min()
+        self.pending.iter().take(self.waiting).flatten().map(|(_, fix)| fix.t_ns).min()
     }
 
     /// The earliest waiting fix valid up to a time; rows fed earlier come first where times are equal.
     fn take_pending(&mut self, until_ns: i64) -> Option<(u64, GnssFix)> {
-        self.pending
-            .iter_mut()
-            .filter(|s| s.is_some_and(|(_, f)| f.t_ns <= until_ns))
-            .min_by_key(|s| s.map(|(row, f)| (f.t_ns, row)))
-            .and_then(Option::take)
+        let places = self.pending.iter().take(self.waiting).enumerate();
+        let (_, _, place) = places
+            .filter_map(|(place, s)| s.map(|(row, f)| (f.t_ns, row, place)))
+            .filter(|(t_ns, ..)| *t_ns <= until_ns)
+            .min()?;
+        self.waiting -= 1;
+        self.pending.swap(place, self.waiting);
+        self.pending[self.waiting].take()
     }
 
     /// Bytes that [`Navigator::save`] writes at most.
     #[must_use]
     pub const fn saved_len(&self) -> usize {
-        self.ekf.saved_len() + 8 * (1 + 1 + 12 + INTERVALS + 1 + 1 + 2 + 10 + 1 + PENDING_MAX * FIX_WORDS)
+        self.ekf.saved_len() + 8 * (1 + 1 + 12 + INTERVALS + 2 + 1 + 2 + 10 + 1 + PENDING * FIX_WORDS)
     }
 
     /// Writes the state with everything that waits; [`Navigator::restore`] continues with the same bits.
@@ -618,6 +688,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
         }
         self.intervals.recent.iter().try_for_each(|dt| out.i64(*dt))?;
         out.u64(self.intervals.next as u64)?;
+        out.i64(self.intervals.owed_ns)?;
         out.u64(u64::from(self.saturated))?;
         out.u64(u64::from(self.refused.count))?;
         out.f64s(&[self.refused.ratio])?;
@@ -650,6 +721,7 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             *dt = saved.i64()?;
         }
         next.intervals.next = (saved.u64()? % INTERVALS as u64) as usize;
+        next.intervals.owed_ns = saved.i64()?;
         next.saturated = saved.u64()? == 1;
         let count = saved.u64()?.min(u64::from(u32::MAX)) as u32;
         next.refused = Refused { count, ratio: saved.f64()? };
@@ -659,10 +731,11 @@ impl<M: NavModel, const CAP: usize> Navigator<M, CAP> {
             }
         }
         let waiting = saved.u64()?;
-        if waiting > PENDING_MAX as u64 {
-            return Err(Error::SavedState { what: "waiting fixes", need: PENDING_MAX as u64, got: waiting });
+        if waiting > PENDING as u64 {
+            return Err(Error::SavedState { what: "waiting fixes", need: PENDING as u64, got: waiting });
         }
-        next.pending = [None; PENDING_MAX];
+        next.pending = [None; PENDING];
+        next.waiting = waiting as usize;
         for slot in next.pending.iter_mut().take(waiting as usize) {
             *slot = Some(restore_fix(saved)?);
         }

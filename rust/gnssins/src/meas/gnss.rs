@@ -31,19 +31,25 @@ impl GnssFix {
 
     fn check_values(&self) -> Result<(), BadReason> {
         if let Some(p) = self.position {
-            if !p.is_valid() {
+            if !p.is_valid() || p.lon_rad.abs() > core::f64::consts::TAU || p.height_m.abs() > FARTHEST_M {
                 return Err(BadReason::Value);
             }
             if p.lat_rad == 0.0 && p.lon_rad == 0.0 {
                 return Err(BadReason::NoFix);
             }
         }
-        if self.velocity_n.iter().flatten().any(|v| !v.is_finite()) {
+        // NaN fails the comparison too
+        if !self.velocity_n.iter().flatten().all(|v| v.abs() <= FASTEST_M_S) {
             return Err(BadReason::Value);
         }
         Ok(())
     }
 }
+
+/// Height beyond which a position is no measurement, m.
+const FARTHEST_M: f64 = 1e9;
+/// Speed beyond which a velocity is no measurement, m/s.
+const FASTEST_M_S: f64 = 1e6;
 
 /// Largest asymmetry of a covariance, relative to its diagonal, that counts as rounding.
 const ASYMMETRY: f64 = 1e-6;

@@ -60,6 +60,8 @@ pub enum BadReason {
     Value,
     /// Latitude and longitude are exactly zero: a receiver without a fix.
     NoFix,
+    /// Fusing it ended the run with an error.
+    Fatal,
     /// The covariance has a NaN, a variance that is not positive, or is asymmetric or not positive definite.
     Covariance,
 }
@@ -72,7 +74,10 @@ impl BadReason {
             Self::Empty => "no component given",
             Self::Value => "value not finite or out of range",
             Self::NoFix => "latitude and longitude exactly 0: receiver without a fix",
-            Self::Covariance => "covariance not positive definite (zero, negative, asymmetric or not finite)",
+            Self::Fatal => "fusing it ended the run with an error",
+            Self::Covariance => {
+                "covariance not positive definite (zero, negative, asymmetric, not finite) or beyond all precision"
+            }
         }
     }
 }

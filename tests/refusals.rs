@@ -211,7 +211,9 @@ fn late_and_bad_fixes_are_recorded_with_their_reason_and_change_nothing() {
     ] {
         assert_eq!(status(&|z| z.position = Some(p)), bad(BadReason::Value));
     }
-    assert_eq!(status(&|z| z.velocity_n[2] = Some(f64::NAN)), bad(BadReason::Value));
+    for v in [f64::NAN, 1e7] {
+        assert_eq!(status(&|z| z.velocity_n[2] = Some(v)), bad(BadReason::Value));
+    }
     for (i, j, value) in [
         (0, 0, 0.0),
         (3, 3, -0.01),
@@ -219,6 +221,7 @@ fn late_and_bad_fixes_are_recorded_with_their_reason_and_change_nothing() {
         (2, 2, f64::INFINITY),
         (0, 1, 0.2), // asymmetric: its mirror stays 0
         (4, 1, f64::NAN),
+        (2, 2, 1e-18), // a nanometre: beyond the digits of a prior of a metre
     ] {
         assert_eq!(status(&|z| z.covariance[i][j] = value), bad(BadReason::Covariance), "({i}, {j}) {value}");
     }
@@ -235,4 +238,20 @@ fn a_fix_from_the_future_is_not_used() {
     let result = ekf.update(0, &fix(DT_NS + 1_000_000_000, &somewhere(), 1.0, 0.1));
     assert!(!matches!(result, Ok(record) if record.status == Status::Used), "{result:?}");
     assert_eq!(bytes(&ekf), before);
+}
+
+#[test]
+fn a_position_that_is_known_to_a_thousand_kilometres_ends_the_run() {
+    fn check<M: NavModel>() {
+        let mut start = initial(somewhere());
+        start.sd_v = Vector3::repeat(20_000.0);
+        let mut ekf = Ekf::<M, 16>::new(&settings(), &[], &start).unwrap();
+        let ended = (1..=10_000).find_map(|k| ekf.predict(k * DT_NS, &STILL, &WEIGHT).err().map(|e| (k, e)));
+        // 20 km/s make a thousand kilometres in 50 s
+        let (k, error) = ended.unwrap();
+        assert!(matches!(error, Error::Unbounded { sd_m, .. } if sd_m > 1e6), "{error}");
+        assert!((4900..5300).contains(&k), "{k}");
+    }
+    check::<Ned>();
+    check::<Ecef>();
 }

@@ -12,6 +12,7 @@ use gnssins::meas::Status;
 use gnssins::nav::ecef::Ecef;
 use gnssins::nav::ned::Ned;
 use gnssins::nav::{EarthModel, NavModel, Solution};
+use gnssins::stream::{Navigator, StreamSettings};
 use nalgebra::{UnitQuaternion, Vector3};
 
 const PLACE: [f64; 3] = [47.0, 8.0, 500.0];
@@ -247,4 +248,21 @@ fn ecef_crosses_the_pole_with_fixes() {
     // the saved state of the far side restores
     let saved = bytes(&ekf);
     common::restore(&mut ekf, &saved).unwrap();
+}
+
+#[test]
+fn a_fix_at_the_start_knows_the_rate_of_the_row_there() {
+    let lever_b_m = Vector3::new(3.0, -2.0, 4.0);
+    let begin = solution(PLACE, [10.0, 0.0, 0.0], [0.0; 3]);
+    let w = Vector3::new(0.3, -0.2, 0.5);
+    let set = Settings { lever_b_m, ..settings() };
+    let ekf = Ekf::<Ned, 16>::new(&set, &common::blocks(15), &initial(begin)).unwrap();
+    let mut nav = Navigator::<Ned, 16>::new(ekf, StreamSettings::default());
+    let mut log = common::Log::default();
+    nav.imu(0, &w, &Vector3::new(0.0, 0.0, -9.8), &mut log).unwrap();
+    let (position, v) = common::antenna(&begin, &lever_b_m, &w);
+    let mut z = fix(0, &begin, 1.0, 0.1);
+    (z.position, z.velocity_n) = (Some(position), [0, 1, 2].map(|i| Some(v[i])));
+    nav.gnss(&z, &mut log).unwrap();
+    assert!(log.records[0].innovation[3..].iter().all(|y| y.abs() < 1e-9), "{:?}", log.records[0].innovation);
 }

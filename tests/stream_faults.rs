@@ -157,6 +157,25 @@ fn a_full_queue_is_an_error_and_loses_nothing() {
 }
 
 #[test]
+fn a_longer_queue_holds_more_and_gives_the_same_filter() {
+    let make = || Ekf::<Ned, 16>::new(&settings(), &common::blocks(15), &initial(start())).unwrap();
+    let mut long = Navigator::<Ned, 16, 100>::with_queue(make(), mean_rates());
+    let mut short = Navigator::<Ned, 16>::new(make(), mean_rates());
+    let z = |k: i64| fix((k + 1) * DT_NS, &start(), 5.0, 1.0);
+    for k in (0..100).rev() {
+        long.gnss(&z(k), &mut ()).unwrap();
+    }
+    assert!(matches!(long.gnss(&z(1), &mut ()), Err(Error::QueueFull { pending: 100, .. })));
+    for k in 0..100 {
+        long.imu((k + 1) * DT_NS, &STILL, &WEIGHT, &mut ()).unwrap();
+        short.imu((k + 1) * DT_NS, &STILL, &WEIGHT, &mut ()).unwrap();
+        short.gnss(&z(k), &mut ()).unwrap();
+    }
+    assert_eq!(common::bytes(long.ekf()), common::bytes(short.ekf()));
+    assert_eq!((long.gnss_counts(), long.gnss_counts().used), (short.gnss_counts(), 100));
+}
+
+#[test]
 fn fixes_after_the_last_row_are_late_at_the_end() {
     let mut nav = navigator::<Ned>(mean_rates());
     let mut log = Log::default();

@@ -18,7 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gnssins import analysis, plots
+    from gnssins import analysis, checks, config, errors, plots, result, sim
     from gnssins.alignment import InitialState, initial_state
     from gnssins.config import Config, preset_names
     from gnssins.dataset import Dataset, GnssTable, ImuTable, TruthTable
@@ -43,13 +43,20 @@ __all__ = [
     "TruthTable",
     "__version__",
     "analysis",
+    "checks",
+    "config",
+    "errors",
     "initial_state",
     "plots",
     "preset_names",
     "read_dataset",
+    "result",
     "run",
+    "sim",
     "simulate",
 ]
+
+_MODULES = ("analysis", "checks", "config", "errors", "plots", "result", "sim")
 
 _HOME = {
     "Config": "config",
@@ -76,7 +83,7 @@ __version__: str
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = import_module("gnssins._core").version()
-    elif name in ("analysis", "plots"):
+    elif name in _MODULES:
         value = import_module(f"gnssins.{name}")
     elif name in _HOME:
         value = getattr(import_module(f"gnssins.{_HOME[name]}"), name)

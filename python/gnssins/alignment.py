@@ -200,9 +200,12 @@ def _motion(config: Config, dataset: Dataset, start_ns: int, latency_ns: int) ->
 
 def _from_fixes(config: Config, dataset: Dataset, start_ns: int, latency_ns: int, position: bool) -> _Motion:
     """The first fix from ``start_ns`` on that can start the filter."""
-    gnss, imu = dataset.gnss, dataset.imu
+    gnss, imu = _sound(dataset.gnss), dataset.imu
     valid = gnss.t_ns - latency_ns
-    last = int(imu.t_ns[-1]) - round(config.initial.leveling_window_s * NS_PER_S)
+    end_ns = int(imu.t_ns[-1])
+    if config.run.end_s is not None:
+        end_ns = min(end_ns, round(config.run.end_s * NS_PER_S))
+    last = end_ns - round(config.initial.leveling_window_s * NS_PER_S)
     usable = (valid >= start_ns) & (valid >= imu.t_ns[0]) & (valid <= last)
     for from_s, to_s in config.run.outages:
         usable &= (valid < round(from_s * NS_PER_S)) | (valid >= round(to_s * NS_PER_S))
@@ -210,6 +213,7 @@ def _from_fixes(config: Config, dataset: Dataset, start_ns: int, latency_ns: int
         usable &= gnss.has_position
     if gnss.has_velocity.any() and config.gnss.uses_velocity:
         usable &= gnss.has_velocity
+    usable = _with_accuracy(config, gnss, usable)
     needs_course = config.initial.heading_deg is None and config.initial.velocity == "gnss"
     limit, candidates, fastest = config.initial.course_min_speed_m_s, usable, 0.0
     if needs_course and config.gnss.uses_velocity and gnss.has_velocity.any():
@@ -224,12 +228,22 @@ def _from_fixes(config: Config, dataset: Dataset, start_ns: int, latency_ns: int
             fastest = max(fastest, ground)
     if not usable.any():
         what = "position" if position else "velocity"
+        unsound = int((dataset.gnss.has_position & ~gnss.has_position).sum())
+        more = f", {unsound} of them at 0, 0 or with an accuracy that is not positive" if unsound else ""
         raise InputError(
             "input.no_start_fix",
             f"no fix with a {what} from {start_ns / NS_PER_S:.3f} s on that the IMU data cover "
-            f"({imu.t_ns[0] / NS_PER_S:.3f} s to {imu.t_ns[-1] / NS_PER_S:.3f} s; {len(gnss)} fixes in all)",
+            f"({imu.t_ns[0] / NS_PER_S:.3f} s to {end_ns / NS_PER_S:.3f} s; {len(gnss)} fixes in all{more})",
             "check that both files count time on one clock, or give [initial] position and velocity",
-            {"fixes": len(gnss), "start_s": start_ns / NS_PER_S},
+            {"fixes": len(gnss), "start_s": start_ns / NS_PER_S, "end_s": end_ns / NS_PER_S},
+        )
+    if config.run.end_s is not None:
+        raise InputError(
+            "input.no_start_fix",
+            f"no fix faster than course_min_speed_m_s = {limit:g} between {start_ns / NS_PER_S:g} and "
+            f"{end_ns / NS_PER_S:g} s; fastest {fastest:.2f} m/s of {int(usable.sum())} fixes",
+            "give [initial] heading_deg, or raise [run] end_s",
+            {"fastest_m_s": fastest, "needs_m_s": limit, "end_s": end_ns / NS_PER_S},
         )
     raise InputError(
         "input.no_course",
@@ -238,6 +252,28 @@ def _from_fixes(config: Config, dataset: Dataset, start_ns: int, latency_ns: int
         "give [initial] heading_deg, or lower course_min_speed_m_s if the vehicle really moves that slowly",
         {"fastest_m_s": fastest, "needs_m_s": limit},
     )
+
+
+def _sound(gnss: GnssTable) -> GnssTable:
+    """Fixes without what receivers write when they have none: 0, 0, infinities, variances that are not positive."""
+    var = gnss.var if gnss.var.ndim == 2 else np.diagonal(gnss.var, axis1=1, axis2=2)
+    null = (gnss.lla[:, 0] == 0.0) & (gnss.lla[:, 1] == 0.0)
+    bad = null | ~np.isfinite(gnss.lla).all(axis=1) | (var[:, :3] <= 0.0).any(axis=1)
+    wrong = ~np.isfinite(gnss.v_n) | (var[:, 3:] <= 0.0)
+    return replace(gnss, lla=np.where(bad[:, None], np.nan, gnss.lla), v_n=np.where(wrong, np.nan, gnss.v_n))
+
+
+def _with_accuracy(config: Config, gnss: GnssTable, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Of the usable fixes those whose accuracy is known, where it is needed and known for any."""
+    sd, initial = gnss.sd, config.initial
+    needed = [(sd[:, :3], initial.position == "gnss" and initial.position_sd_m is None)]
+    if config.gnss.uses_velocity and gnss.has_velocity.any():
+        needed.append((sd[:, 3:5], initial.velocity == "gnss" and initial.velocity_sd_m_s is None))
+    for values, wanted in needed:
+        known = usable & np.isfinite(values).all(axis=1)
+        if wanted and known.any():
+            usable = known
+    return usable
 
 
 def _at_fix(config: Config, gnss: GnssTable, valid: NDArray[np.int64], row: int) -> _Motion:

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from gnssins import export
+import numpy as np
+
+from gnssins import _core, export
+from gnssins.alignment import InitialState
 from gnssins.analysis import compare as compare_tracks
 from gnssins.analysis import nis, outage_table
 from gnssins.config import Config, TruthConfig
 from gnssins.dataset import Dataset, TruthTable
 from gnssins.errors import InputError
 from gnssins.io import format_of, read_dataset
+from gnssins.outputs import FIGURE_FILES, RESULT_FILES, refuse_inputs, refuse_no_folder
 from gnssins.result import Result
 from gnssins.runner import run as run_filter
 from gnssins.terminal import heading, message, progress, put, put_json
+from gnssins.units import NS_PER_S
 
 if TYPE_CHECKING:
     from gnssins.analysis import NavErrors
+    from gnssins.checks import Finding
 
 __all__ = ["compare", "demo", "list_scenarios", "run", "simulate"]
+
+#: Files of ``--csv``: trajectory and fixes.
+TABLE_FILES: Final = ("navigation.csv", "measurements.csv")
+
+#: File of ``--kml``.
+KML_FILE: Final = "track.kml"
 
 
 def demo(out: Path, seed: int, as_json: bool) -> None:
@@ -52,11 +65,15 @@ def list_scenarios(as_json: bool) -> None:
 
 def simulate(scenario: str, out: Path | None, seed: int, variant: str | None, as_json: bool) -> None:
     """``gnssins simulate``."""
+    from gnssins.sim import load_scenario
     from gnssins.sim import simulate as simulate_run
-    from gnssins.simfiles import write_simulation
+    from gnssins.simfiles import output_files, write_simulation
 
-    simulated = simulate_run(scenario, seed, variant=variant)
-    folder = out if out is not None else Path(simulated.scenario.name)
+    model = load_scenario(scenario)
+    folder = out if out is not None else Path(model.name)
+    refuse_no_folder(folder)
+    refuse_inputs(output_files(model, folder), [scenario])
+    simulated = simulate_run(model, seed, variant=variant)
     files = write_simulation(simulated, folder)
     imu, gnss = simulated.dataset.imu, simulated.dataset.gnss
     if as_json:
@@ -75,18 +92,21 @@ def run(path: Path, out: Path | None, csv: bool, kml: bool, figures: bool, as_js
     """``gnssins run``."""
     config = Config.load(path)
     folder = out if out is not None else Path(f"{path.stem}-result")
+    refuse_no_folder(folder)
+    names = [*RESULT_FILES, *([*TABLE_FILES] if csv else []), *([KML_FILE] if kml else [])]
+    names += FIGURE_FILES if figures else ()
+    inputs = [path, config.imu.file, config.gnss.file, config.truth.file]
+    refuse_inputs([folder / name for name in names], inputs)
     data = read_dataset(config)
     with progress("filter") as bar:
-        result = run_filter(config, data, progress=bar)
-    for finding in result.metadata["finding"]:
-        text = f"{finding['level']}: {finding['message']}"
-        message(f"{text}\n  hint: {finding['hint']}" if finding["hint"] else text, "yellow")
+        result = run_filter(config, data, progress=bar, told=None if as_json else _tell)
     files = _write(result, data, folder, csv, kml, figures)
     report = _summary(result, config, data, files)
     if as_json:
         put_json({"config": str(path), "out": str(folder), **report})
         return
     put(repr(result))
+    put(start_line(result, config))
     put(f"filtered in {result.metadata['run']['filter_s']:.2f} s")
     put("\n".join(_count_lines(result)))
     for title, text in _tables(result, config, data):
@@ -96,23 +116,28 @@ def run(path: Path, out: Path | None, csv: bool, kml: bool, figures: bool, as_js
     put("\n".join(f"  {file}" for file in files))
 
 
+def _tell(findings: list[Finding]) -> None:
+    """Print what the look at the data has found, before the filter starts; an error repeats the stops."""
+    for finding in findings:
+        text = f"{finding.level}: {finding.message}"
+        message(f"{text}\n  hint: {finding.hint}" if finding.hint else text, "yellow")
+
+
 def _write(result: Result, data: Dataset, folder: Path, csv: bool, kml: bool, figures: bool) -> list[str]:
-    """Save the result and what else was asked for; the files in the order of their use."""
+    """Save the result and what else was asked for; the files in the order of their use.
+
+    Pictures that an earlier run left in the folder go: they would show another result.
+    """
+    if any((folder / name).is_file() for name in RESULT_FILES):  # else the pictures there are not ours
+        for name in FIGURE_FILES:
+            (folder / name).unlink(missing_ok=True)
     result.save(folder)
-    names = [
-        "navigation.parquet",
-        "measurements.parquet",
-        "covariance.parquet",
-        "events.csv",
-        "state.bin",
-        "run.toml",
-    ]
-    files = [folder / name for name in names]
+    files = [folder / name for name in RESULT_FILES]
     if csv:
-        files.append(result.to_csv(folder / "navigation.csv"))
-        files.append(export.write_csv(result.measurements, folder / "measurements.csv"))
+        files.append(result.to_csv(folder / TABLE_FILES[0]))
+        files.append(export.write_csv(result.measurements, folder / TABLE_FILES[1]))
     if kml:
-        files.append(result.to_kml(folder / "track.kml", name=folder.name))
+        files.append(result.to_kml(folder / KML_FILE, name=folder.name))
     if figures:
         files += draw_figures(result, folder, _compared(result, data.truth), data.truth)
     return [str(file) for file in files]
@@ -142,6 +167,32 @@ def _compared(result: Result, truth: TruthTable | None) -> NavErrors | None:
     if truth is None or not len(truth):
         return None
     return compare_tracks(result, truth, ellipsoid=str(result.metadata["ellipsoid"]))
+
+
+def start_line(result: Result, config: Config) -> str:
+    """One line about the state that the filter started from, and where its parts come from."""
+    start, initial = _start(result), config.initial
+    asked = "" if config.run.start_s is None else f" (asked {config.run.start_s:.1f} s)"
+    course = "given" if initial.heading_deg is not None else "from the course"
+    tilt = "given" if initial.roll_deg is not None else "from the accelerometer"
+    return (
+        f"Started at {start['time_s']:.3f} s{asked}: heading {start['heading_deg']:.1f} deg, "
+        f"sd {start['heading_sd_deg']:.1f} deg, {course}; "
+        f"roll {start['roll_deg']:.1f} deg, pitch {start['pitch_deg']:.1f} deg, {tilt}"
+    )
+
+
+def _start(result: Result) -> dict[str, float]:
+    """The initial state that the engine got: time and attitude."""
+    start = InitialState.from_engine(json.loads(result.metadata["engine"]["json"])["initial"])
+    roll, pitch, yaw = np.degrees(_core.quat_to_euler(start.q_nb[None])[0])
+    return {
+        "time_s": start.t_ns / NS_PER_S,
+        "roll_deg": float(roll),
+        "pitch_deg": float(pitch),
+        "heading_deg": float(yaw % 360.0),
+        "heading_sd_deg": float(np.degrees(start.sd_phi[2])),
+    }
 
 
 def _count_lines(result: Result) -> list[str]:
@@ -181,6 +232,7 @@ def _summary(result: Result, config: Config, data: Dataset, files: list[str]) ->
         "epochs": len(result),
         "start_s": float(result.time_s[0]),
         "end_s": float(result.time_s[-1]),
+        "start": _start(result),
         "states": [state.name for state in result.states],
         "counts": result.counts,
         "events": result.event_counts(),

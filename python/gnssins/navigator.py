@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gnssins import _core
 from gnssins.config import Config
 from gnssins.errors import InputError
-from gnssins.result import STATUS, Event
+from gnssins.result import STATUS, Event, finite
 from gnssins.runner import Start, as_config, as_initial
 from gnssins.tables import State
 from gnssins.units import NS_PER_S
@@ -74,6 +74,8 @@ class Navigator:
     ------
     ConfigError
         The configuration cannot be used.
+    InputError
+        ``initial`` is no initial state.
     """
 
     def __init__(
@@ -101,8 +103,10 @@ class Navigator:
         ------
         TimeOrderError, GapError
             As configured; the row is then not taken.
+        InputError
+            The time is no finite number, or the values are no numbers.
         """
-        self._core.imu(_nanoseconds(t), np.asarray(gyro, dtype=float), np.asarray(accel, dtype=float))
+        self._core.imu(_nanoseconds(t), _numbers(gyro, "gyro"), _numbers(accel, "accel"))
 
     def gnss(
         self,
@@ -131,24 +135,25 @@ class Navigator:
         Raises
         ------
         InputError
-            No accuracy is known, or both are given.
+            No accuracy is known, an ``sd`` is not positive, or both ``sd`` and ``cov`` are given.
         """
         if cov is not None and sd is not None:
             raise InputError("input.accuracy", "a fix with both sd and cov", "give one of them")
-        if cov is not None:
-            var = np.asarray(cov, dtype=float)
-        else:
-            var = self._default_var if sd is None else np.asarray(sd, dtype=float) ** 2
-        position = lla if self._uses_position else None
-        velocity = v_n if self._uses_velocity else None
+        var = self._default_var if cov is None else _numbers(cov, "cov")
+        if sd is not None:
+            var = _numbers(sd, "sd") ** 2
+        position = _vector(lla) if self._uses_position else None
+        velocity = _vector(v_n) if self._uses_velocity else None
         parts = ((position, slice(0, 3)), (velocity, slice(3, 6)))
+        if sd is not None:
+            _refuse_sd(_numbers(sd, "sd"), position, velocity)
         if any(p is not None and not np.isfinite(var[at]).any() for p, at in parts):
             raise InputError(
                 "input.no_sd",
                 "the accuracy of a fix is not known",
                 "give sd or cov, or [gnss] position_sd_m and velocity_sd_m_s",
             )
-        self._core.gnss(_nanoseconds(t), _vector(position), _vector(velocity), var)
+        self._core.gnss(_nanoseconds(t), position, velocity, var)
 
     def finish(self) -> None:
         """End the stream: fixes that wait for an IMU row that will not come are counted as late."""
@@ -194,7 +199,7 @@ class Navigator:
     def take_events(self) -> list[Event]:
         """Hand out the events since the last call."""
         events = self._core.take_events()
-        return [Event(e["t_ns"], e["code"], e["row"], e["message"]) for e in events]
+        return [Event(e["t_ns"], e["code"], e["row"], e["message"], finite(e["value"])) for e in events]
 
     def save(self) -> bytes:
         """Freeze the whole state, waiting fixes included, in bytes."""
@@ -213,14 +218,52 @@ class Navigator:
 
 def _nanoseconds(t: float | int) -> int:
     """Nanoseconds of a time: int is nanoseconds already, float is seconds."""
-    if isinstance(t, int | np.integer):
+    if isinstance(t, int | np.integer) and not isinstance(t, bool):
         return int(t)
+    if not isinstance(t, float | np.floating) or not np.isfinite(t):
+        raise InputError(
+            "input.time",
+            f"a row with the time {t!r}, needs a finite number",
+            "give seconds as float or nanoseconds as int; leave out rows without a time",
+        )
     whole = int(np.floor(t))
     return whole * NS_PER_S + round((t - whole) * NS_PER_S)
 
 
+def _refuse_sd(sd: Array, position: Array | None, velocity: Array | None) -> None:
+    """Raise for a standard deviation of a component that is there which is zero, negative or NaN."""
+    absent = np.full(3, np.nan)
+    values = np.concatenate([absent if part is None else part for part in (position, velocity)])
+    if sd.shape != (6,) or values.shape != (6,):
+        raise InputError(
+            "input.shape",
+            f"a fix with sd of shape {sd.shape}, needs (6,), and {values.size} components, needs 6",
+            "lla and v_n have three components, sd has six: position, then velocity, north, east, down",
+        )
+    bad = np.isfinite(values) & ~(sd > 0.0)
+    if bad.any():
+        names = [f"{part} {axis}" for part in ("position", "velocity") for axis in ("north", "east", "down")]
+        first = int(np.flatnonzero(bad)[0])
+        raise InputError(
+            "input.sd",
+            f"a fix with sd = {sd[first]:g} for {names[first]}, {int(bad.sum())} such components",
+            "standard deviations are positive; leave out sd to use those of [gnss], or give NaN for the component",
+            {"sd": sd.tolist()},
+        )
+
+
 def _vector(values: ArrayLike | None) -> Array | None:
-    return None if values is None else np.asarray(values, dtype=np.float64)
+    return None if values is None else _numbers(values, "a fix")
+
+
+def _numbers(values: ArrayLike, name: str) -> Array:
+    """Floats of what was given, or an :class:`InputError`."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as failure:
+        raise InputError(
+            "input.dtype", f"{name} is not numeric: {failure}", "give three numbers, NaN where one is absent"
+        ) from None
 
 
 def _configured_variances(config: Config) -> Array:

@@ -40,12 +40,32 @@ class Covariance(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """Something worth knowing that happened during a run."""
+    """Something worth knowing that happened during a run.
+
+    Attributes
+    ----------
+    t_ns : int
+        Time.
+    code : str
+        Stable name such as ``"imu.gap"``.
+    row : int
+        Row of the IMU or GNSS table, from 0.
+    message : str
+        What happened, with the unit of ``value``.
+    value : float or None
+        The number that belongs to it: NIS, seconds, factor.
+    """
 
     t_ns: int
     code: str
     row: int
     message: str
+    value: float | None = None
+
+
+def finite(value: float) -> float | None:
+    """Return a number, or None for one that is not finite."""
+    return float(value) if np.isfinite(value) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +174,11 @@ class Result:
             return "Result(empty)"
         used, seen = self.counts["gnss"]["used"], self.counts["gnss"]["in"]
         first, last = tables.seconds(self.t_ns[[0, -1]])
+        found = len(self.metadata.get("finding", ()))
+        said = f", {found} finding{'s' if found > 1 else ''}" if found else ""
         return (
             f"Result({len(self)} epochs from {first:.3f} s to {last:.3f} s, {len(self.states)} states, "
-            f"{used} of {seen} fixes used, {len(self.log)} events)"
+            f"{used} of {seen} fixes used, {len(self.log)} events{said})"
         )
 
     @property
@@ -218,16 +240,17 @@ class Result:
 
     @cached_property
     def events(self) -> pl.DataFrame:
-        """Events as a table: ``time_s``, ``code``, ``row``, ``message``."""
+        """Events as a table: ``time_s``, ``code``, ``row``, ``value`` (unit in the message), ``message``."""
         times = np.array([e.t_ns for e in self.log], dtype=np.int64)
         return pl.DataFrame(
             {
                 "time_s": tables.seconds(times),
                 "code": [e.code for e in self.log],
                 "row": [e.row for e in self.log],
+                "value": [e.value for e in self.log],
                 "message": [e.message for e in self.log],
             },
-            schema={"time_s": pl.Float64, "code": pl.String, "row": pl.Int64, "message": pl.String},
+            schema=tables.EVENT_SCHEMA,
         )
 
     def event_counts(self) -> dict[str, int]:

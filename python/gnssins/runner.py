@@ -22,9 +22,9 @@ from gnssins.alignment import InitialState, initial_state
 from gnssins.checks import Finding, check_dataset, raise_on_stop
 from gnssins.config import Config
 from gnssins.dataset import Dataset, GnssTable, ImuTable
-from gnssins.errors import InputError
+from gnssins.errors import ConfigError, GnssinsError, InputError
 from gnssins.io import read_dataset
-from gnssins.result import WITHHELD, Covariance, Event, Records, Result
+from gnssins.result import WITHHELD, Covariance, Event, Records, Result, finite
 from gnssins.tables import State
 from gnssins.units import NS_PER_S
 
@@ -54,6 +54,7 @@ def run(
     *,
     progress: Progress | None = None,
     initial: Start | None = None,
+    told: Callable[[list[Finding]], object] | None = None,
 ) -> Result:
     """Process one recording.
 
@@ -69,6 +70,10 @@ def run(
     initial : InitialState, mapping or simulated initial state, optional
         State to start from, also in the form of the engine configuration; left out: found from the data as
         ``[initial]`` says (:mod:`gnssins.alignment`).
+    told : callable, optional
+        Called with the findings of the look at the data (:func:`gnssins.checks.check_dataset`) before the filter
+        starts; without it, an error that follows repeats them in its hint. They are in the context of the error
+        (``"findings"``) and in ``metadata["finding"]`` of the result in any case.
 
     Returns
     -------
@@ -84,6 +89,7 @@ def run(
         What the engine refuses, with row and time.
     """
     clock = time.perf_counter()
+    config_file = os.fspath(config) if isinstance(config, str | os.PathLike) else None
     config = as_config(config)
     findings: list[Finding] = []
     if dataset is not None and not isinstance(dataset, Dataset):
@@ -92,16 +98,41 @@ def run(
     else:
         dataset = read_dataset(config) if dataset is None else dataset
         findings = check_dataset(dataset, config)
+        if told is not None:
+            told(findings)
+    try:
         raise_on_stop(findings)
-    start = as_initial(initial) if initial is not None else initial_state(config, dataset)
-    engine = config.engine_config(start.to_engine())
-    engine["imu"]["input"] = dataset.imu.kind
-    cut = _cut(config, dataset, engine["gnss"]["latency_ns"])
-    prepared = time.perf_counter()
-    columns = _call(engine, config, cut, progress)
+        start = as_initial(initial) if initial is not None else initial_state(config, dataset)
+        engine = config.engine_config(start.to_engine())
+        engine["imu"]["input"] = dataset.imu.kind
+        cut = _cut(config, dataset, engine["gnss"]["latency_ns"])
+        _refuse_outside(config, start.t_ns, int(cut.imu.t_ns[-1]))
+        prepared = time.perf_counter()
+        columns = _call(engine, config, cut, progress)
+    except GnssinsError as error:
+        _attach(error, findings, repeat=told is None)
+        raise
     times = {"prepare_s": prepared - clock, "filter_s": time.perf_counter() - prepared}
     metadata = _metadata(config, dataset, engine, findings, times)
+    if config_file is not None:
+        metadata["run"]["config_file"] = str(Path(config_file).resolve())
     return _result(columns, dataset, cut, metadata)
+
+
+def _attach(error: GnssinsError, findings: list[Finding], *, repeat: bool) -> None:
+    """Give an error what the look at the data had found before."""
+    if not findings:
+        return
+    error.context["findings"] = _listed(findings)
+    suspects = [f.message for f in findings if f.level != "info" and f.message not in error.message]
+    if repeat and suspects:
+        said = f"the look at the data before said: {'; '.join(suspects)}"
+        error.hint = f"{error.hint}; {said}" if error.hint else said
+
+
+def _listed(findings: list[Finding]) -> list[dict[str, str]]:
+    """Findings as plain tables."""
+    return [{"level": f.level, "code": f.code, "message": f.message, "hint": f.hint} for f in findings]
 
 
 def as_config(config: Config | Mapping[str, Any] | str | os.PathLike[str]) -> Config:
@@ -117,7 +148,17 @@ def as_initial(initial: Start) -> InitialState:
     """Take an initial state as it is, or from the section ``initial`` of an engine configuration."""
     if isinstance(initial, InitialState):
         return initial
-    return InitialState.from_engine(initial if isinstance(initial, Mapping) else initial.to_engine())
+    section = initial if isinstance(initial, Mapping) else getattr(initial, "to_engine", dict)()
+    try:
+        return InitialState.from_engine(section)
+    except (KeyError, TypeError, ValueError) as failure:
+        what = f"lacks {failure}" if section and isinstance(failure, KeyError) else "is not one"
+        raise InputError(
+            "input.initial",
+            f"the initial state {what}: got {type(initial).__name__}",
+            "give gnssins.InitialState, gnssins.initial_state(config, dataset), Simulated.initial, or a mapping with "
+            "t_ns, lat_rad, lon_rad, height_m, v_n, q_nb, sd_phi, sd_v, sd_p",
+        ) from None
 
 
 # ---- what goes in
@@ -172,6 +213,21 @@ def _cut(config: Config, dataset: Dataset, latency_ns: int) -> _Cut:
     )
 
 
+def _refuse_outside(config: Config, start_ns: int, end_ns: int) -> None:
+    """Raise for a window of ``[run] outages`` of which nothing lies within the filtered span."""
+    start_s, end_s = start_ns / NS_PER_S, end_ns / NS_PER_S
+    outside = [w for w in config.run.outages if w[1] <= start_s or w[0] >= end_s]
+    if outside:
+        windows = ", ".join(f"[{from_s:g}, {to_s:g}]" for from_s, to_s in outside)
+        raise ConfigError(
+            "config.outage_outside",
+            f"[run] outages: {len(outside)} of {len(config.run.outages)} windows outside of the filtered span "
+            f"{start_s:.3f} to {end_s:.3f} s: {windows}",
+            "windows count in s on the clock of the IMU log; the filter starts at the first fix that [initial] can use",
+            {"windows_s": [list(w) for w in outside], "start_s": start_s, "end_s": end_s},
+        )
+
+
 def _call(engine: dict[str, Any], config: Config, cut: _Cut, progress: Progress | None) -> dict[str, Any]:
     """Hand the columns to the core, what ``[gnss] use`` leaves out replaced by NaN."""
     gnss = cut.gnss
@@ -209,7 +265,7 @@ def _result(columns: dict[str, Any], dataset: Dataset, cut: _Cut, metadata: dict
         states=tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in columns["states"]),
         covariance=Covariance(columns["cov_t_ns"], columns["cov"]),
         records=_records(columns["meas"], dataset.gnss, cut),
-        log=_events(columns["events"], cut),
+        log=_events(columns["events"], columns["meas"], cut),
         counts=counts,
         metadata=metadata,
         final_state=columns["final_state"],
@@ -243,16 +299,19 @@ def _records(meas: Mapping[str, Any], gnss: GnssTable, cut: _Cut) -> Records:
     )
 
 
-def _events(events: list[dict[str, Any]], cut: _Cut) -> tuple[Event, ...]:
-    """Events with the rows of the tables as they were handed in."""
+def _events(events: list[dict[str, Any]], meas: Mapping[str, Any], cut: _Cut) -> tuple[Event, ...]:
+    """Events with the rows of the tables as they were handed in, bad fixes with the reason of their record."""
+    reasons = {int(row): reason for row, reason in zip(meas["row"], meas["reason"], strict=True)}
     out = []
     for event in events:
-        row = int(event["row"])
+        row, message = int(event["row"]), event["message"]
+        if event["code"] == "gnss.bad" and reasons.get(row):
+            message = f"{message}: {reasons[row]}"
         if event["code"].startswith("imu."):
             row += cut.imu_first
         elif event["code"].startswith("gnss."):
             row = int(cut.fed[row])
-        out.append(Event(int(event["t_ns"]), event["code"], row, event["message"]))
+        out.append(Event(int(event["t_ns"]), event["code"], row, message, finite(event["value"])))
     return tuple(out)
 
 
@@ -275,9 +334,7 @@ def _metadata(
         "lever_ba_b_m": engine["gnss"]["lever_b_m"],
         "outages_ns": windows,
         "input": _inputs(dataset),
-        "finding": [
-            {"level": f.level, "code": f.code, "message": f.message, "hint": f.hint} for f in findings
-        ],
+        "finding": _listed(findings),
         "config": config.to_dict(),
         "engine": {"json": json.dumps(engine)},
     }

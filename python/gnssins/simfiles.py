@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from gnssins import _core
 from gnssins.config import Config, preset_names
 from gnssins.io import write_gnss, write_imu, write_truth
+from gnssins.outputs import make_folder
 from gnssins.sim import Scenario, Simulated
 from gnssins.sim.sensor_config import ImuError
 from gnssins.storage import write_atomic
 
-__all__ = ["matching_filter", "scenario_config", "write_simulation"]
+__all__ = ["matching_filter", "output_files", "scenario_config", "write_simulation"]
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,7 @@ def write_simulation(simulated: Simulated, folder: str | Path) -> list[str]:
     list of str
         The files, the configuration last.
     """
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
+    target = make_folder(Path(folder))
     data, files = simulated.dataset, {"imu": "imu.csv.gz"}
     write_imu(target / files["imu"], data.imu)
     if len(data.gnss):
@@ -67,6 +67,12 @@ def write_simulation(simulated: Simulated, folder: str | Path) -> list[str]:
     text = head + tomlkit.dumps(tables)
     write_atomic(target / name, lambda path: path.write_text(text, encoding="utf-8"))
     return [str(target / file) for file in (*files.values(), name)]
+
+
+def output_files(scenario: Scenario, folder: Path) -> list[Path]:
+    """Every file that :func:`write_simulation` may write for a scenario."""
+    names = ("imu.csv.gz", "gnss.csv.gz", "ref.csv.gz", f"{scenario.name}.toml")
+    return [folder / name for name in names]
 
 
 def scenario_config(simulated: Simulated) -> dict[str, Any]:

@@ -4,7 +4,7 @@
 ``navigation.parquet``   one row per epoch; columns of :attr:`gnssins.Result.navigation`
 ``measurements.parquet`` one row per GNSS row; columns of :attr:`gnssins.Result.measurements`
 ``covariance.parquet``   ``t_ns`` and ``covariance`` (n*n numbers row by row, SI, order of the states)
-``events.csv``           ``time_s, code, row, message``
+``events.csv``           ``time_s, code, row, value, message``
 ``state.bin``            state of the engine at the end, for :meth:`gnssins.Navigator.restore`
 ``run.toml``             versions, input hashes, counts, seed, the whole configuration, the list of states
 =======================  ======================================================================================
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from gnssins import tables
 from gnssins.errors import InputError, MissingFileError
+from gnssins.outputs import RESULT_FILES, make_folder, refuse_inputs
 from gnssins.tables import State
 from gnssins.units import NS_PER_S
 
@@ -66,7 +67,10 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
 def save(result: Result, folder: str | Path) -> Path:
     """Write ``result`` into ``folder``; ``run.toml`` goes first when it is there and comes last when all is written."""
     target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
+    inputs = [entry.get("file") for entry in result.metadata.get("input", [])]
+    inputs.append(result.metadata.get("run", {}).get("config_file"))
+    refuse_inputs([target / name for name in RESULT_FILES], inputs)
+    make_folder(target)
     (target / RUN_FILE).unlink(missing_ok=True)
     write_atomic(target / "navigation.parquet", result.navigation.write_parquet)
     write_atomic(target / "measurements.parquet", result.measurements.write_parquet)
@@ -223,8 +227,9 @@ def _load_records(source: Path) -> Records:
 def _load_events(source: Path) -> tuple[Event, ...]:
     from gnssins.result import Event
 
-    schema = {"time_s": pl.Float64, "code": pl.String, "row": pl.Int64, "message": pl.String}
-    table = _read(source / "events.csv", lambda path: pl.read_csv(path, schema=schema))
+    table = _read(source / "events.csv", lambda path: pl.read_csv(path, schema_overrides=tables.EVENT_SCHEMA))
+    if "value" not in table.columns:  # written before events had numbers
+        table = table.with_columns(value=pl.lit(None, pl.Float64))
     times = _nanoseconds(table["time_s"].to_numpy())
-    rows = zip(times, table["code"], table["row"], table["message"], strict=True)
-    return tuple(Event(int(t), code, row, message) for t, code, row, message in rows)
+    rows = zip(times, *(table[name] for name in ("code", "row", "message", "value")), strict=True)
+    return tuple(Event(int(t), code, row, message, value) for t, code, row, message, value in rows)

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from gnssins.units import ACCEL_BIAS, GYRO_BIAS, NS_PER_S
 
 __all__ = [
+    "EVENT_SCHEMA",
     "INNOVATION_COLUMNS",
     "NAVIGATION_COLUMNS",
     "SD_COLUMNS",
@@ -66,6 +68,15 @@ INNOVATION_COLUMNS: Final = (
     "innovation_v_east_m_s",
     "innovation_v_down_m_s",
 )
+
+#: Columns of the table of events and of ``events.csv``.
+EVENT_SCHEMA: Final[dict[str, type[pl.DataType]]] = {
+    "time_s": pl.Float64,
+    "code": pl.String,
+    "row": pl.Int64,
+    "value": pl.Float64,
+    "message": pl.String,
+}
 
 
 @dataclass(frozen=True)

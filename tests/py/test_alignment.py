@@ -176,6 +176,55 @@ def test_latency_is_taken_off_before_the_fix_is_used():
     assert np.array_equal(found.lla, expected.lla)
 
 
+@pytest.mark.parametrize("fault", ["null", "infinite", "zero variance", "negative variance", "no variance"])
+def test_fixes_that_are_none_do_not_start_the_filter(fault):
+    data = error_free()
+    lla, var = np.array(data.gnss.lla), np.array(data.gnss.var)
+    first = slice(0, 30)
+    if fault == "null":
+        lla[first, :2] = 0.0
+    elif fault == "infinite":
+        lla[first, 2] = np.inf
+    else:
+        var[first] = {"zero variance": 0.0, "negative variance": -1.0, "no variance": np.nan}[fault]
+    broken = replace(data, gnss=replace(data.gnss, lla=lla, var=var))
+    whole = Config.from_dict(tables(heading="course"))
+    start = initial_state(whole, broken)
+    assert start.t_ns == data.gnss.t_ns[30] + 20_000_000
+    assert start.lla[0] == pytest.approx(data.gnss.lla[30, 0], abs=1e-5)
+
+
+def test_fixes_that_are_all_none_are_counted():
+    data = error_free()
+    nowhere = replace(data, gnss=replace(data.gnss, lla=np.zeros_like(data.gnss.lla)))
+    with pytest.raises(InputError, match="of them at 0, 0") as caught:
+        initial_state(Config.from_dict(tables(heading="course")), nowhere)
+    assert caught.value.code == "input.no_start_fix"
+
+
+def test_motion_after_the_end_does_not_start_the_filter():
+    data = error_free()
+    v_n = np.array(data.gnss.v_n)
+    v_n[:200] = 0.0
+    late = replace(data, gnss=replace(data.gnss, v_n=v_n))
+    whole = {**tables(heading="course"), "run": {"start_s": 5.0, "end_s": 30.0}}
+    words = "no fix faster than course_min_speed_m_s = 1 between 5 and 30 s"
+    with pytest.raises(InputError, match=words) as caught:
+        gnssins.run(Config.from_dict(whole), late)
+    assert caught.value.code == "input.no_start_fix"
+    assert "heading_deg" in caught.value.hint
+    assert "end_s" in caught.value.hint
+
+
+def test_the_recorded_drive_without_motion_before_the_end_is_an_error(repository, shared_data):
+    text = Config.load(repository / "examples" / "car-rtkx-drive.toml")
+    folder = shared_data / "car-rtkx-drive"
+    files = {name: {"file": str(folder / f"{name}.csv.gz")} for name in ("imu", "gnss")}
+    with pytest.raises(InputError, match="between 5 and 30 s") as caught:
+        gnssins.run(text.replace(run={"start_s": 5.0, "end_s": 30.0}, **files))
+    assert caught.value.code == "input.no_start_fix"
+
+
 def test_clear_errors_say_what_is_missing():
     data = error_free()
     still = replace(data, gnss=replace(data.gnss, v_n=np.zeros_like(data.gnss.v_n)))

@@ -165,8 +165,15 @@ def test_dead_accelerometer_stops():
 @pytest.mark.parametrize("axes", ["FLU", "RFU", "BLD", "RBD", "DRB", "UFL"])
 def test_wrong_axes_are_named_from_gravity_and_from_the_gain_of_speed(axes):
     finding = found(imu(turn=axes_matrix(axes).T), "data.axes")
-    assert finding.level == "warn"
-    assert finding.hint == f'likely [imu] axes: "{axes}"'
+    assert finding.level == ("stop" if axes in ("FLU", "RFU") else "warn")
+    assert finding.hint.partition(";")[0] == f'likely [imu] axes: "{axes}"'
+
+
+def test_a_body_that_lies_on_its_back_by_configuration_is_not_stopped():
+    turned = imu(turn=axes_matrix("FLU").T)
+    assert found(turned, "data.axes", config()).level == "stop"
+    told = config(initial={"roll_deg": 180.0, "pitch_deg": 0.0})
+    assert found(turned, "data.axes", told).level == "warn"
 
 
 def test_right_axes_key_silences_the_finding():
@@ -277,6 +284,22 @@ def test_impossible_fixes_stop_with_the_remedy(changes, code, says):
     finding = found(gnss(**changes), code)
     assert finding.level == "stop"
     assert says in finding.hint
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(3.6, "km/h"), (100.0, "cm/s"), (1000.0, "mm/s"), (1e-3, "km/s")]
+)
+def test_velocity_in_another_unit_stops_and_names_it(factor, unit):
+    finding = found(gnss(v_n=DRIVE.gnss.v_n * factor), "data.gnss_velocity")
+    assert finding.level == "stop"
+    assert f"likely the velocity is in {unit}" in finding.hint
+
+
+@pytest.mark.parametrize("factor", [1.9438, 2.2369, 3.3, 4.0, 0.5])
+def test_velocity_that_is_off_by_any_other_factor_is_told(factor):
+    finding = found(gnss(v_n=DRIVE.gnss.v_n * factor), "data.gnss_velocity")
+    assert finding.level == "warn"
+    assert "times the velocity" in finding.message
 
 
 def test_vertical_velocity_of_the_wrong_sign_is_told():

@@ -111,6 +111,26 @@ def test_a_wild_fix_does_not_flatten_the_innovations_and_is_marked():
     assert "beyond the axis" in names
 
 
+def labels(r: Result) -> list[str]:
+    return [text.get_text() for text in plots.track(r).axes[0].texts]
+
+
+def test_start_and_end_share_a_label_where_they_meet():
+    r = result()
+    assert labels(r) == ["start", "end"]
+    lla = r.lla.copy()
+    lla[-1] = lla[0] + [1e-7, 1e-7, 0.0]
+    assert labels(replace(r, lla=lla)) == ["start, end"]
+
+
+def test_a_short_burst_of_the_band_does_not_flatten_the_estimates():
+    r = result()
+    x_sd = r.x_sd.copy()
+    x_sd[2000:2030] *= 100.0
+    usual, burst = (plots.biases(made).axes[0].get_ylim()[1] for made in (r, replace(r, x_sd=x_sd)))
+    assert usual <= burst < 1.5 * usual
+
+
 def test_runs_without_truth_fixes_or_velocities_can_be_drawn():
     r = gnssins.run(config(end_s=20.0).replace(gnss={"use": "position"}), simulated())
     assert len(plots.innovations(r).axes) == 3

@@ -179,6 +179,22 @@ def test_events_keep_commas_and_quotes(tmp_path):
     assert replace(result(), log=()).events.height == 0
 
 
+def test_events_keep_their_number(tmp_path):
+    log = (Event(5, "gnss.rejected", 3, "refused", 41.5), Event(7, "gnss.bad", 4, "not usable"))
+    made = replace(result(), log=log)
+    assert made.events.columns == ["time_s", "code", "row", "value", "message"]
+    assert made.events["value"].to_list() == [41.5, None]
+    folder = made.save(tmp_path)
+    assert (folder / "events.csv").read_text().splitlines()[1] == "5e-9,gnss.rejected,3,41.5,refused"
+    assert Result.open(folder).log == log
+
+
+def test_a_result_from_before_events_had_numbers_can_be_read(tmp_path):
+    folder = replace(result(), log=(Event(5_000_000_000, "gnss.late", 3, "late", 1.0),)).save(tmp_path)
+    (folder / "events.csv").write_text("time_s,code,row,message\n5.0,gnss.late,3,late\n")
+    assert Result.open(folder).log == (Event(5_000_000_000, "gnss.late", 3, "late"),)
+
+
 def test_to_pandas_gives_the_same_numbers():
     pandas = pytest.importorskip("pandas")
     frame = result().to_pandas()

@@ -1,5 +1,7 @@
 """gnssins.run and gnssins.Navigator: what goes in is accounted for, and both give the same bits."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 import gnssins
 from gnssins import Dataset, GnssTable, ImuTable, Navigator
-from gnssins.errors import GapError, InputError, StateError, TimeOrderError
+from gnssins.errors import ConfigError, GapError, InputError, StateError, TimeOrderError
 from short_flight import GAP_S, config, result, simulated, start_at
 
 S = 1_000_000_000
@@ -94,6 +96,10 @@ def test_event_rows_are_rows_of_the_tables_as_handed_in():
     rows = {event.code: event.row for event in r.log}
     assert rows["imu.not_finite"] == 1234
     assert rows["gnss.bad"] == 30
+    bad = next(event for event in r.log if event.code == "gnss.bad")
+    reason = r.records.reason[list(r.records.row).index(30)]
+    assert reason
+    assert bad.message == f"GNSS row not usable: {reason}"
     assert r.counts["imu"]["bad"] == 1
     assert r.counts["gnss"]["bad"] == 1
 
@@ -101,6 +107,15 @@ def test_event_rows_are_rows_of_the_tables_as_handed_in():
 def test_no_imu_row_between_start_and_end_is_an_error():
     with pytest.raises(InputError, match="no IMU row between start_s and end_s"):
         gnssins.run(config(start_s=400.0), simulated())
+
+
+@pytest.mark.parametrize("window", [[400.0, 450.0], [300.0, 310.0], [2.0, 10.0]])
+def test_an_outage_window_outside_of_the_filtered_span_is_an_error(window):
+    whole = config(start_s=10.0, outages=sorted([window, [100.0, 120.0]]))
+    with pytest.raises(ConfigError, match=r"1 of 2 windows outside .* 10\.000 to 300\.000 s") as caught:
+        gnssins.run(whole, simulated(), initial=start_at(10.0))
+    assert caught.value.code == "config.outage_outside"
+    assert f"[{window[0]:g}, {window[1]:g}]" in caught.value.message
 
 
 def test_a_gap_beyond_the_limit_stops_the_run():
@@ -118,6 +133,17 @@ def test_metadata_says_where_the_result_comes_from():
     assert [entry["table"] for entry in meta["input"]] == ["imu", "gnss"]
     assert all(len(entry["sha256"]) == 64 for entry in meta["input"])
     assert meta["config"]["filter"]["preset"] == "fomichev-tan-2017"
+
+
+def test_modules_are_attributes_of_the_package_and_load_late():
+    code = (
+        "import sys, gnssins\n"
+        "assert 'gnssins.checks' not in sys.modules\n"
+        "for name in ('checks', 'errors', 'result', 'config', 'sim'):\n"
+        "    assert getattr(gnssins, name).__name__ == f'gnssins.{name}', name\n"
+        "assert gnssins.errors.InputError.__name__ == 'InputError'"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 # ---- sample by sample
@@ -196,6 +222,47 @@ def test_a_fix_without_accuracy_is_refused():
         nav.gnss(1.0, lla=[0.5, 1.8, 150.0])
     with pytest.raises(InputError, match="both sd and cov"):
         nav.gnss(1.0, lla=[0.5, 1.8, 150.0], sd=np.ones(6), cov=np.eye(6))
+
+
+@pytest.mark.parametrize("wrong", [-1.0, 0.0, np.nan])
+def test_an_sd_that_is_not_positive_is_refused(wrong):
+    nav = Navigator(config(), simulated().initial)
+    lla, v_n = simulated().initial.lla, simulated().initial.v_n
+    with pytest.raises(InputError, match="position down, 1 such") as caught:
+        nav.gnss(0.02, lla=lla, v_n=v_n, sd=[1.0, 1.0, wrong, 0.1, 0.1, 0.1])
+    assert caught.value.code == "input.sd"
+    # a component that is absent needs none
+    nav.gnss(0.02, lla=lla, v_n=[*v_n[:2], np.nan], sd=[1.0, 1.0, 1.0, 0.1, 0.1, wrong])
+    nav.gnss(0.04, lla=lla, sd=[1.0, 1.0, 1.0, wrong, wrong, wrong])
+    assert nav.counts["gnss"]["in"] == 2
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, "31", None, True])
+def test_a_time_that_is_no_number_is_refused(time):
+    nav = Navigator(config(), simulated().initial)
+    with pytest.raises(InputError, match="needs a finite number") as caught:
+        nav.imu(time, [0.0, 0.0, 0.0], [0.0, 0.0, -0.19])
+    assert caught.value.hint
+    with pytest.raises(InputError, match="needs a finite number"):
+        nav.gnss(time, lla=simulated().initial.lla, sd=np.ones(6))
+    assert nav.counts["imu"]["in"] == 0
+
+
+def test_values_that_are_no_numbers_are_refused():
+    nav = Navigator(config(), simulated().initial)
+    with pytest.raises(InputError, match="gyro is not numeric"):
+        nav.imu(0.02, "abc", [0.0, 0.0, -0.19])
+    with pytest.raises(InputError, match="needs"):
+        nav.gnss(0.02, lla=[0.5, 1.8], sd=np.ones(6))
+    assert nav.counts["gnss"]["in"] == 0
+
+
+@pytest.mark.parametrize("nothing", [None, {}, 3.0, {"t_ns": 0}])
+def test_a_navigator_without_an_initial_state_says_what_it_needs(nothing):
+    with pytest.raises(InputError, match="the initial state") as caught:
+        Navigator(config(), nothing)
+    assert caught.value.code == "input.initial"
+    assert "initial_state(config, dataset)" in caught.value.hint
 
 
 def test_measurements_and_events_are_handed_out_once():

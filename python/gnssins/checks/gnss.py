@@ -9,15 +9,27 @@ import numpy as np
 from ..dataset import Array, GnssTable
 from ..units import DEG_TO_RAD, NS_PER_S
 from .findings import Finding
-from .motion import fit, integral, rising, spans
+from .motion import Fit, fit, integral, rising, spans
 
 _EARTH_M = 6.371e6
 _SPAN_S = 4.0
 """Length of track that is compared with the velocity: long enough for the noise of the fixes not to matter."""
 
+_TRACK_TEXT = "gnss: the track does not follow the velocity ({pairs} pairs of fixes)"
+
 _FAR_M = 12.0
 _GOOD = 0.3
 """Relative difference of track and velocity that is called consistent."""
+
+_EXACT = 0.03
+"""Relative distance of track over velocity to a factor between units that still counts as that factor."""
+
+_SPEED_UNITS = (
+    (1.0 / 3.6, "km/h: divide the velocity columns by 3.6"),
+    (0.01, "cm/s: divide the velocity columns by 100"),
+    (0.001, "mm/s: divide the velocity columns by 1000"),
+    (1000.0, "km/s: multiply the velocity columns by 1000"),
+)
 
 
 def check_gnss(gnss: GnssTable) -> Iterator[Finding]:
@@ -112,6 +124,10 @@ def _track(gnss: GnssTable) -> Iterator[Finding]:
     first, last = spans(t_s, _SPAN_S, 2.0 * _SPAN_S)
     path = integral(t_s, np.nan_to_num(v_n))
     way, change = path[last] - path[first], lla[last] - lla[first]
+    too_small = list(_too_small(way, change, lla[first, 0]))
+    if too_small:
+        yield from too_small
+        return
     far = np.linalg.norm(way[:, :2], axis=1) > _FAR_M
     if far.sum() < 10:
         return
@@ -132,14 +148,35 @@ def _track(gnss: GnssTable) -> Iterator[Finding]:
         )
 
 
+def _too_small(way: Array, change: Array, lat: Array) -> Iterator[Finding]:
+    """Find velocities so small that by them the vehicle hardly moves, while the track is a multiple of them."""
+    shift = _EARTH_M * np.column_stack([change[:, 0], change[:, 1] * np.cos(lat)])
+    far = np.linalg.norm(shift, axis=1) > _FAR_M
+    if far.sum() >= 10:
+        scale = fit(way[far, :2].ravel(), shift[far].ravel())
+        if scale.slope > 100.0:
+            yield from _speed_unit(scale, _TRACK_TEXT.format(pairs=int(far.sum())), int(far.sum()))
+
+
+def _speed_unit(scale: Fit, text: str, pairs: int) -> Iterator[Finding]:
+    """Name the unit of the velocity if the track over it is a factor between units."""
+    for factor, unit in _SPEED_UNITS:
+        if scale.correlation > 0.95 and abs(scale.slope / factor - 1.0) < _EXACT:
+            found = f"{text}; the track is {scale.slope:.3g} times the velocity"
+            yield Finding("stop", "data.gnss_velocity", found, f"likely the velocity is in {unit}", pairs)
+
+
 def _explain(shift: Array, crossed: Array, way: Array, pairs: int) -> Iterator[Finding]:
     """Say why the track (m, as it is and with latitude and longitude exchanged) leaves the velocity."""
     scale = fit(way.ravel(), shift.ravel())
-    text = f"gnss: the track does not follow the velocity ({pairs} pairs of fixes)"
+    text = _TRACK_TEXT.format(pairs=pairs)
+    unit = list(_speed_unit(scale, text, pairs))
     turned, exchanged = _mismatch(shift, way[:, ::-1]), _mismatch(crossed, way)
     if turned < min(_GOOD, exchanged):
         hint = 'velocity columns in the order east, north: swap them, or set [gnss] velocity_axes = "ENU"'
         yield Finding("stop", "data.gnss_velocity", text, hint, pairs)
+    elif unit:
+        yield from unit
     elif exchanged < _GOOD:
         hint = "latitude and longitude swapped: exchange the first two of [gnss] position_columns"
         yield Finding("stop", "data.gnss_swapped", text, hint, pairs)

@@ -27,6 +27,9 @@ _AT_REST_RAD_S = 0.03
 
 _READ_AS_RAD_S = '[imu] gyro_unit = "deg/s" (now read as rad/s)'
 
+_REVERSED = 0.9
+"""Share of gravity along the wrong sense of the z axis above which the axes are wrong for certain."""
+
 _TURNS = 0.9
 """Correlation of gyro turn and GNSS turn above which their ratio is believed."""
 
@@ -251,7 +254,12 @@ def _axes(up: Array, steps: Steps, config: Config | None) -> Iterator[Finding]:
         if candidates
         else "check [imu] axes; is the unit tilted?"
     )
-    yield Finding("warn", "data.axes", text, hint, steps.speed_gain.size)
+    # a roll beyond 90 deg in the configuration says that the body really lies on its back
+    told = None if config is None else config.initial.roll_deg
+    reversed_sign = up[2] > _REVERSED and (told is None or abs(told) < 90.0)
+    if reversed_sign:
+        hint += "; if +z of the body really points up, say so with [initial] roll_deg = 180 and pitch_deg"
+    yield Finding("stop" if reversed_sign else "warn", "data.axes", text, hint, steps.speed_gain.size)
 
 
 def _signs(vector: Array) -> str:

@@ -69,9 +69,10 @@ def biases(result: Result, truth: Parameters | None = None) -> Figure:
             if column == 0:
                 style.label(ax, unit.label)
             settled = slice(len(time) // 10, None)
+            # a short burst of the band, as after filter.reset, may leave the axes: it would flatten the rest
             top = max(
                 top,
-                float((np.abs(value) + 3.0 * sd)[settled].max(initial=0.0)),
+                float(np.quantile((np.abs(value) + 3.0 * sd)[settled], 0.95)),
                 float(np.quantile(np.abs(value), 0.97)),
             )
         for column in range(_COLUMNS):

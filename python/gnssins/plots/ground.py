@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["track"]
 
 Array = NDArray[np.float64]
+
+#: Distance of start and end on the page, points, below which they share one label.
+_LABEL_PT: Final = 45.0
 
 
 def track(result: Result, truth: Trajectory | None = None) -> Figure:
@@ -71,9 +74,15 @@ def track(result: Result, truth: Trajectory | None = None) -> Figure:
             label="reference",
             zorder=5,
         )
-    # the two labels point away from each other: a round trip ends where it started
-    for point, text, side in ((plane[0], "start", 1), (plane[-1], "end", -1)):
+    # points of the page per metre; the two labels point away from each other, but not where they would meet
+    page = 72.0 * min(7.2 / width, tall / height)
+    marks = [(plane[0], "start", 1), (plane[-1], "end", -1)]
+    if float(np.linalg.norm(plane[-1] - plane[0])) * page < _LABEL_PT:
+        marks = [(plane[0], "start, end", 1), (plane[-1], "", -1)]
+    for point, text, side in marks:
         above.plot(*(point / scale), "o", ms=6, mfc="white", mec=COLORS["black"], zorder=6)
+        if not text:
+            continue
         above.annotate(
             text,
             point / scale,

@@ -48,6 +48,9 @@ LONGEST_BASE_S: Final = 5.0
 #: Uncertainty of the angle between the forward axis and the course (side slip, wind, mounting), deg (1 sigma).
 CRAB_SD_DEG: Final = 3.0
 
+#: Speed over its own uncertainty from which on it shows a course: receivers at rest report 1 m/s now and then.
+COURSE_SIGMAS: Final = 5.0
+
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
@@ -223,7 +226,7 @@ def _from_fixes(config: Config, dataset: Dataset, start_ns: int, latency_ns: int
         motion = _at_fix(config, gnss, valid, int(row))
         ground = float(np.hypot(motion.v_n[0], motion.v_n[1]))
         if np.isfinite(motion.v_n).all():
-            if not needs_course or ground >= limit:
+            if not needs_course or ground >= max(limit, COURSE_SIGMAS * float(motion.sd_v[:2].max())):
                 return motion
             fastest = max(fastest, ground)
     if not usable.any():
@@ -240,15 +243,16 @@ def _from_fixes(config: Config, dataset: Dataset, start_ns: int, latency_ns: int
     if config.run.end_s is not None:
         raise InputError(
             "input.no_start_fix",
-            f"no fix faster than course_min_speed_m_s = {limit:g} between {start_ns / NS_PER_S:g} and "
-            f"{end_ns / NS_PER_S:g} s; fastest {fastest:.2f} m/s of {int(usable.sum())} fixes",
+            f"no fix faster than course_min_speed_m_s = {limit:g} and {COURSE_SIGMAS:g} of its sigmas "
+            f"between {start_ns / NS_PER_S:g} and {end_ns / NS_PER_S:g} s; "
+            f"fastest {fastest:.2f} m/s of {int(usable.sum())} fixes",
             "give [initial] heading_deg, or raise [run] end_s",
             {"fastest_m_s": fastest, "needs_m_s": limit, "end_s": end_ns / NS_PER_S},
         )
     raise InputError(
         "input.no_course",
         f"no fix from {start_ns / NS_PER_S:.3f} s on shows a course: fastest {fastest:.2f} m/s, "
-        f"needs {limit:g} m/s",
+        f"needs {limit:g} m/s and {COURSE_SIGMAS:g} times its sigma",
         "give [initial] heading_deg, or lower course_min_speed_m_s if the vehicle really moves that slowly",
         {"fastest_m_s": fastest, "needs_m_s": limit},
     )

@@ -197,6 +197,8 @@ def _cut(config: Config, dataset: Dataset, latency_ns: int) -> _Cut:
     # rows keep their order, so that time going backwards is seen and not cut away
     first = int(np.argmax(inside))
     last = imu.t_ns.size - int(np.argmax(inside[::-1]))
+    if config.initial.position != "gnss" and first > 0 and imu.t_ns[first] > begin_ns:
+        first -= 1  # the start lies within an interval: the row before tells where that began
     valid = gnss.t_ns - latency_ns
     takes_part = (valid >= begin_ns) & (valid <= end_ns)
     held = np.zeros(len(gnss), dtype=np.bool_)
@@ -309,7 +311,7 @@ def _events(events: list[dict[str, Any]], meas: Mapping[str, Any], cut: _Cut) ->
             message = f"{message}: {reasons[row]}"
         if event["code"].startswith("imu."):
             row += cut.imu_first
-        elif event["code"].startswith("gnss."):
+        elif event["code"].startswith(("gnss.", "filter.")):
             row = int(cut.fed[row])
         out.append(Event(int(event["t_ns"]), event["code"], row, message, finite(event["value"])))
     return tuple(out)

@@ -208,7 +208,7 @@ def test_motion_after_the_end_does_not_start_the_filter():
     v_n[:200] = 0.0
     late = replace(data, gnss=replace(data.gnss, v_n=v_n))
     whole = {**tables(heading="course"), "run": {"start_s": 5.0, "end_s": 30.0}}
-    words = "no fix faster than course_min_speed_m_s = 1 between 5 and 30 s"
+    words = "no fix faster than course_min_speed_m_s = 1 .* between 5 and 30 s"
     with pytest.raises(InputError, match=words) as caught:
         gnssins.run(Config.from_dict(whole), late)
     assert caught.value.code == "input.no_start_fix"
@@ -267,3 +267,20 @@ def test_a_state_survives_the_way_through_the_engine_configuration():
     again = InitialState.from_engine(start.to_engine())
     assert again.to_engine() == start.to_engine()
     assert config().engine_config(start.to_engine())["initial"]["t_ns"] == 0
+
+
+def test_a_receiver_at_rest_with_a_noisy_velocity_shows_no_course():
+    parked = gnssins.simulate("static", seed=3)
+    random = np.random.default_rng(3)
+    gnss = parked.dataset.gnss
+    noisy = replace(
+        gnss,
+        v_n=random.normal(0.0, 0.5, gnss.v_n.shape),
+        var=np.hstack([gnss.var[:, :3], np.full((len(gnss), 3), 0.25)]),
+    )
+    assert np.hypot(*noisy.v_n[:, :2].T).max() > 1.0
+    config = gnssins.Config.from_dict(
+        {"imu": {"kind": "increments"}, "filter": {"preset": "ned-15"}, "initial": {"heading": "course"}}
+    )
+    with pytest.raises(InputError, match="course"):
+        gnssins.initial_state(config, replace(parked.dataset, gnss=noisy))

@@ -1,5 +1,6 @@
 """gnssins.run and gnssins.Navigator: what goes in is accounted for, and both give the same bits."""
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnssins
-from gnssins import Dataset, GnssTable, ImuTable, Navigator
+from gnssins import Dataset, GnssTable, ImuTable, Navigator, _core
 from gnssins.errors import ConfigError, GapError, InputError, StateError, TimeOrderError
 from short_flight import GAP_S, config, result, simulated, start_at
 
@@ -299,3 +300,33 @@ def test_one_imu_row_is_enough_for_a_result():
     data = Dataset(ImuTable(np.array([20_000_000]), [[0.0, 0.0, 0.0]], [[0.0, 0.0, -0.19]], "increments"))
     r = gnssins.run(config(), replace(simulated(), dataset=data))
     assert len(r) == 1
+
+
+@pytest.mark.parametrize("kind", ["rates", "mean-rates"])
+def test_a_gap_of_the_imu_takes_in_all_fixes_that_came_meanwhile(kind):
+    engine = json.loads(_core.preset_json("ned-15"))
+    engine["imu"] |= {"input": kind, "max_gap_ns": 10_000_000_000}
+    still = {
+        "lat_rad": 0.5,
+        "lon_rad": 1.0,
+        "height_m": 100.0,
+        "v_n": [0.0] * 3,
+        "q_nb": [1.0, 0.0, 0.0, 0.0],
+    }
+    engine["initial"] = {"t_ns": 0, **still, "sd_phi": [0.01] * 3, "sd_v": [0.1] * 3, "sd_p": [1.0] * 3}
+    # 4 s without IMU rows, 40 fixes in them
+    t_ns = np.delete(np.arange(2000, dtype=np.int64) * 10_000_000, slice(1000, 1400))
+    rows = len(t_ns)
+    found = _core.run(
+        json.dumps(engine),
+        t_ns,
+        np.zeros((rows, 3)),
+        np.tile([0.0, 0.0, -9.79], (rows, 1)),
+        np.arange(1, 199, dtype=np.int64) * 100_000_000,
+        np.tile([0.5, 1.0, 100.0], (198, 1)),
+        np.zeros((198, 3)),
+        np.ones((198, 6)),
+    )
+    assert found["counts"]["gnss"]["used"] == 198
+    assert [event["code"] for event in found["events"]] == ["imu.gap"]
+    assert np.abs(found["v_n"][-1]).max() < 0.01

@@ -266,3 +266,44 @@ fn a_fix_at_the_start_knows_the_rate_of_the_row_there() {
     nav.gnss(&z, &mut log).unwrap();
     assert!(log.records[0].innovation[3..].iter().all(|y| y.abs() < 1e-9), "{:?}", log.records[0].innovation);
 }
+
+#[test]
+fn a_gap_adds_the_noise_of_what_the_rates_may_have_done_in_it() {
+    let begin = solution(PLACE, [0.0; 3], [0.0; 3]);
+    let make = || Ekf::<Ned, 16>::new(&settings(), &[], &initial(begin)).unwrap();
+    let weight = Vector3::new(0.0, 0.0, -9.8);
+    for (dg, da) in [(0.0, 0.0), (0.3, 0.0), (0.0, 4.0)] {
+        // rows to 0.2 s, nothing up to 0.41 s, where the rates have become others
+        let (w, f) = (Vector3::repeat(dg), weight + Vector3::repeat(da));
+        let set = StreamSettings { input: gnssins::imu::ImuInput::MeanRates, ..StreamSettings::default() };
+        let (mut nav, mut by_hand) = (Navigator::<Ned, 16>::new(make(), set), make());
+        for k in 1..=20 {
+            nav.imu(k * DT_NS, &Vector3::zeros(), &weight, &mut ()).unwrap();
+        }
+        nav.imu(41 * DT_NS, &w, &f, &mut ()).unwrap();
+        for k in 1..=41 {
+            let share = [0.0, 0.5, 1.0][usize::from(k > 20) + usize::from(k > 40)];
+            by_hand
+                .predict(k * DT_NS, &(w * share * 0.01), &((weight + (f - weight) * share) * 0.01))
+                .unwrap();
+        }
+        // over a gap of 0.21 s a rate may change by 0.1 rad/s and 1 m/s² per second and come back
+        let (length, hole) = (0.21f64, 0.2);
+        for (start, change, slope) in [(0, dg, 0.1), (3, da, 1.0)] {
+            let want = (change * change / 12.0 + (0.5f64 * slope * length).powi(2)) * length * hole;
+            for i in start..start + 3 {
+                let added = nav.ekf().covariance().get(i, i) - by_hand.covariance().get(i, i);
+                // attitude noise of the gap turns gravity into velocity noise too
+                let turned = if start == 3 {
+                    (dg * dg / 12.0 + 1.1e-4) * length * length.powi(2) * hole * 36.0
+                } else {
+                    0.0
+                };
+                assert!(
+                    added > 0.95 * want && added < 1.05 * (want + turned),
+                    "{dg} {da} state {i}: {added:e} {want:e}"
+                );
+            }
+        }
+    }
+}

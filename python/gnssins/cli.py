@@ -54,9 +54,9 @@ def demo(
     json: Json = False,
 ) -> None:
     """Fly a simulated UAV for 3000 s with and without GNSS gaps, and show how good the solution is."""
-    from gnssins import commands
+    from gnssins.commands import filtering
 
-    commands.demo(out, seed, json)
+    filtering.demo(out, seed, json)
 
 
 @app.command(
@@ -81,14 +81,14 @@ def simulate(
     json: Json = False,
 ) -> None:
     """Simulate a log: IMU, fixes and the truth as CSV files, and a configuration that is ready to run."""
-    from gnssins import commands
+    from gnssins.commands import filtering
 
     if names:
-        commands.list_scenarios(json)
+        filtering.list_scenarios(json)
         return
     if not scenario:
         raise typer.BadParameter("name a scenario; gnssins simulate --list shows them", param_hint="SCENARIO")
-    commands.simulate(scenario, out, seed, variant, json)
+    filtering.simulate(scenario, out, seed, variant, json)
 
 
 @app.command(
@@ -118,9 +118,9 @@ def run(
     json: Json = False,
 ) -> None:
     """Process a recorded log: IMU and GNSS in, trajectory with its accuracy out."""
-    from gnssins import commands
+    from gnssins.commands import filtering
 
-    commands.run(config, out, csv, kml, figures, json)
+    filtering.run(config, out, csv, kml, figures, json)
 
 
 @app.command(
@@ -140,9 +140,9 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare a result with a reference trajectory or with another result."""
-    from gnssins import commands
+    from gnssins.commands import filtering
 
-    commands.compare(result, reference, after, json)
+    filtering.compare(result, reference, after, json)
 
 
 def main() -> None:

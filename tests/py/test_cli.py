@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import gnssins
-from gnssins import Result, cli, commands
+from gnssins import Result, cli
+from gnssins.commands import filtering
 from gnssins.errors import ConfigError
 from gnssins.simfiles import write_simulation
 from short_flight import config, simulated
@@ -197,7 +198,7 @@ def test_a_full_disk_is_not_a_bug(gnssins_command, log, tmp_path, monkeypatch):
 
 
 def test_a_bug_leaves_with_2_and_its_trace(gnssins_command, monkeypatch):
-    monkeypatch.setattr(commands, "compare", lambda *_: 1 // 0)
+    monkeypatch.setattr(filtering, "compare", lambda *_: 1 // 0)
     code, _, err = gnssins_command("compare", "a", "b")
     assert code == 2
     assert "ZeroDivisionError" in err
@@ -208,7 +209,7 @@ def test_ctrl_c_leaves_quietly(gnssins_command, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands, "compare", interrupted)
+    monkeypatch.setattr(filtering, "compare", interrupted)
     code, _, err = gnssins_command("compare", "a", "b")
     assert code == 130
     assert "Traceback" not in err

@@ -1,4 +1,4 @@
-"""What the commands do, one function each; :mod:`gnssins.cli` only parses."""
+"""``gnssins demo``, ``simulate``, ``run``, ``compare``: one function each."""
 
 from __future__ import annotations
 

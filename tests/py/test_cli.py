@@ -15,7 +15,7 @@ from gnssins.errors import ConfigError
 from gnssins.simfiles import write_simulation
 from short_flight import config, simulated
 
-COMMANDS = ("demo", "simulate", "run", "compare")
+COMMANDS = ("demo", "simulate", "run", "compare", "outages")
 
 
 @pytest.fixture(scope="module")

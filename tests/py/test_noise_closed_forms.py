@@ -32,7 +32,7 @@ def walk(seed=0) -> np.ndarray:
 
 
 def test_published_figures_of_the_sensors():
-    # specification, section 3: ARW 0.008 deg/rts = 0.48 deg/rth, sample sigma 0.0897 deg/s; VRW 0.204 m/s/rth, 0.0381
+    # worked by an independent program: ARW 0.48 deg/rth, sample sigma 0.0897 deg/s; VRW 0.204 m/s/rth, 0.0381 m/s^2
     assert 60.0 * np.degrees(GYRO.walk) == pytest.approx(0.48)
     assert np.degrees(np.sqrt(GYRO.variance)) == pytest.approx(0.0897, abs=5e-5)
     assert 60.0 * ACCEL.walk == pytest.approx(0.204)
@@ -42,7 +42,7 @@ def test_published_figures_of_the_sensors():
 
 
 def test_worked_values_per_tenth_of_a_second():
-    # specification, section 6: alpha 1.950e-9 (closed 1.872e-9), v 1.156e-6 (closed 1.110e-6), 4 % short
+    # worked by an independent program: alpha 1.950e-9 (closed 1.872e-9), v 1.156e-6 (closed 1.110e-6), 4 % short
     found = worked_values(GYRO, ACCEL)
     assert found["attitude_white_rad2"] == pytest.approx(1.950e-9, rel=3e-4)
     assert found["attitude_closed_rad2"] == pytest.approx(1.872e-9, rel=3e-4)
@@ -120,7 +120,7 @@ def test_a_constant_attitude_drops_out_of_the_rotated_sum():
     c = np.repeat(walk()[:1], J, axis=0)
     found = rotated_noise(c, (ACCEL,) * 3, T_I)
     np.testing.assert_allclose(found, ACCEL.same_interval(T_P) * np.eye(3), rtol=1e-12, atol=1e-20)
-    assert found[0, 0] == pytest.approx(1.11000e-6, rel=1e-5)  # specification: 1.11000e-6 both ways
+    assert found[0, 0] == pytest.approx(1.11000e-6, rel=1e-5)  # independent program: 1.11000e-6 both ways
 
 
 def test_the_rotated_sum_is_that_of_all_pairs():

@@ -1,17 +1,22 @@
 """Observability: systems whose observable subspace is known in closed form, brute force, axes, units; the engine."""
 
+import json
+import re
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from scipy.linalg import expm
 
+import gnssins
 from gnssins import _core, plots
 from gnssins.analysis import observability
 from gnssins.analysis.stacking import c_en
 from gnssins.errors import InputError
 from gnssins.tables import State
+from short_flight import config, result, simulated
 
 S = 1_000_000_000
 G = 9.81
@@ -326,3 +331,78 @@ def test_no_fix_and_unknown_axes_are_refused():
         observability(replace(m, h=np.full_like(m.h, np.nan)))
     with pytest.raises(InputError, match='axes "enu"'):
         observability(replace(m, axes="enu"))
+
+
+# ---- the engine
+
+
+@cache
+def linearised():
+    return gnssins.run(config(end_s=60.0, linearise=True), simulated())
+
+
+def test_the_engine_gives_what_the_analysis_needs():
+    found = observability(linearised(), window=11)
+    # the straight flight of the first minute, 18 states: each constant drift hides behind its Markov drift
+    assert found.names[:3] == ("phi_x", "phi_y", "phi_z")
+    assert found.rank.max() <= 15
+    assert {"gyro_bias_z", "gyro_drift_z", "phi_z"} <= set(found.ever_flagged)
+    assert not {"dp_n", "dp_e", "dp_d", "dv_n", "dv_e", "dv_d"} & set(found.ever_flagged)
+    assert found.t_s[-1] == 60.0
+
+
+def test_the_linearised_engine_propagates_its_own_covariance():
+    # GIVEN the rows and transitions of the run THEN a Kalman filter made of them has the covariance of the engine
+    r = gnssins.run(config(end_s=20.0, linearise=True, covariance_interval_s=1.0), simulated())
+    linear, engine = r.linearisation, json.loads(r.metadata["engine"]["json"])
+    at = {int(t): i for i, t in enumerate(r.covariance.t_ns)}
+    p = None
+    for k, t in enumerate(linear.t_ns):
+        snapshot = r.covariance.matrix[at[int(t)]]
+        if p is not None:
+            predicted = (
+                linear.phi[k] @ p @ linear.phi[k].T
+            )  # process noise of 1 s is left out: small against P here
+            h, noise = linear.h[k], linear.r[k]
+            gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + noise)
+            updated = predicted - gain @ h @ predicted
+            scale = np.sqrt(np.diag(snapshot))
+            assert np.abs((updated - snapshot) / np.outer(scale, scale)).max() < 5e-3
+        p = snapshot
+    assert engine["output"]["linearise"] is True
+
+
+def test_a_configuration_and_data_do_as_well_as_a_result():
+    a = observability(config(end_s=60.0), simulated(), window=11)
+    b = observability(linearised(), window=11)
+    c = observability(linearised().linearisation, window=11)
+    assert np.array_equal(a.singular_values, b.singular_values)
+    assert np.array_equal(b.singular_values, c.singular_values)
+
+
+def test_the_prior_of_a_result_is_its_start():
+    r = linearised()
+    start = simulated().initial
+    blocks = json.loads(r.metadata["engine"]["json"])["blocks"]
+    sd = np.concatenate([start.sd_phi, start.sd_v, start.sd_p, *(b["initial_sd"] for b in blocks)])
+    a = observability(r, scaling="sigma", window=11)
+    b = observability(r.linearisation, scaling="sigma", window=11, prior_sd=sd)
+    assert np.array_equal(a.singular_values, b.singular_values)
+    assert a.threshold == 1.0
+
+
+def test_a_run_without_linearisation_says_what_to_do():
+    with pytest.raises(InputError, match="no linearised model") as caught:
+        observability(result())
+    assert "linearise = true" in caught.value.hint
+
+
+def test_python_of_the_how_to_runs(repository, tmp_path, monkeypatch, capsys):
+    page = (repository / "docs" / "howto" / "observability.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "howto/observability.md", "exec"), {})
+    assert (
+        "{11: 1.0} {('phi_z', 'gyro_bias_z', 'accel_bias_x', 'accel_bias_y'): 1.0}" in capsys.readouterr().out
+    )
+    assert (tmp_path / "observability.png").is_file()

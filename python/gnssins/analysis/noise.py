@@ -3,7 +3,7 @@
 A sensor whose white noise passes a first-order low-pass filter with the corner frequency f gives increments that are
 correlated from one interval to the next. With the one-sided density N, k = 2 pi f and tau = 1/k,
 
-    R(s) = (N k / 4) exp(-k |s|)
+    R(s) = (N k / 4) exp(-k abs(s))
 
 and the integrals over intervals of length T are
 
@@ -172,7 +172,7 @@ ERRATA: Final = (
 
 
 def rotated_noise(c: Array, noise: tuple[BandLimited, ...], step_s: float, form: Form = "right") -> Array:
-    """Covariance of the sum of rotated increments over J inertial steps: sum over j and i of C_j Q(|i-j|) C_i'.
+    """Covariance of the sum of rotated increments over J inertial steps: sum over j and i of C_j Q(abs(i-j)) C_i'.
 
     Parameters
     ----------

@@ -128,9 +128,7 @@ class Observability:
     @property
     def ever_flagged(self) -> tuple[str, ...]:
         """States that are flagged in at least one window."""
-        return tuple(
-            name for name, hit in zip(self.names, self.flags.any(axis=0).tolist(), strict=True) if hit
-        )
+        return tuple(name for name, share in self.share_flagged.items() if share > 0.0)
 
     def ranks(self) -> dict[int, float]:
         """Share of the windows by rank, ascending."""

@@ -11,6 +11,7 @@ use crate::error::Error;
 use crate::imu::{Calibration, Coning, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
 use crate::meas::{BadReason, Measurement, Record, Rows, Status, View};
+use crate::nav::kinematics::AttitudeForm;
 use crate::nav::{DP, DV, Dynamics, EarthModel, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
 use crate::small::{self, ROWS_MAX};
 
@@ -141,6 +142,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         ekf.refresh_sensors()?;
         ekf.cov.check(ekf.t_ns)?;
         Ok(ekf)
+    }
+
+    /// Chooses how the attitude is integrated and corrected; the exact form is the default.
+    ///
+    /// # Errors
+    /// What [`NavModel::set_attitude_form`] refuses.
+    pub fn set_attitude_form(&mut self, form: AttitudeForm) -> Result<(), Error> {
+        self.model.set_attitude_form(form)
     }
 
     /// Time of the state, ns.

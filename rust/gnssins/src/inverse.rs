@@ -5,7 +5,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use crate::attitude;
 use crate::error::Error;
 use crate::imu::{Coning, ImuDelta, Strap};
-use crate::nav::NavModel;
+use crate::nav::{NavModel, Solution};
 
 /// Most corrections of one step; four reach rounding at any realistic motion.
 const ITERATIONS: usize = 8;
@@ -31,6 +31,14 @@ impl<M: NavModel> FreeIns<M> {
     #[must_use]
     pub const fn model(&self) -> &M {
         &self.model
+    }
+
+    /// Goes to another solution; the memory of the increments stays.
+    ///
+    /// # Errors
+    /// What [`NavModel::restart`] refuses.
+    pub fn restart(&mut self, solution: &Solution) -> Result<(), Error> {
+        self.model.restart(solution)
     }
 
     /// Propagates with true increments.

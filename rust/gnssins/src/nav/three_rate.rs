@@ -1,0 +1,191 @@
+//! Free inertial navigation in three rates, for a processor that cannot do everything at the rate of the sensors.
+//!
+//! * fast, every sample: attitude, with the rate of the navigation axes held;
+//! * middle, every `velocity` samples: velocity, from the increments gathered since and the attitude at the start;
+//! * slow, every `position` middle steps: position, radii, Earth rate, transport rate, gravity.
+//!
+//! The parts are those of the one-rate step of [`super::ned::Ned`]: coning and sculling of [`Strap`], Earth quantities at
+//! the predicted middle of the slow interval, half of the frame's rotation on the velocity increment. What is held is
+//! computed with the velocity that is expected there, from its change over the slow interval before.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::kinematics::AttitudeForm;
+use super::ned::{Ned, Point};
+use super::{EarthModel, NavModel, Solution, finite, half_turn};
+use crate::attitude;
+use crate::error::Error;
+use crate::frames::{Lla, wrap_pi};
+use crate::imu::{Coning, ImuDelta, Strap};
+
+/// How much slower than the samples the other two loops run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Divisors {
+    /// Samples per velocity step.
+    pub velocity: u32,
+    /// Velocity steps per position step.
+    pub position: u32,
+}
+
+impl Divisors {
+    /// Samples per position step.
+    fn samples(self) -> f64 {
+        f64::from(self.velocity) * f64::from(self.position)
+    }
+}
+
+/// Quantities that the slow loop holds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Held {
+    point: Point,
+    g_n: Vector3<f64>,
+    w_en: Vector3<f64>,
+    w_in: Vector3<f64>,
+}
+
+/// A free INS whose attitude, velocity and position are stepped at three rates.
+#[derive(Debug, Clone)]
+pub struct ThreeRate {
+    earth: EarthModel,
+    form: AttitudeForm,
+    coning: Coning,
+    divisors: Divisors,
+    solution: Solution,
+    /// Attitude at the start of the velocity step.
+    c_nb: Matrix3<f64>,
+    held: Option<Held>,
+    samples: u32,
+    steps: u32,
+    sum: ImuDelta,
+    previous: Option<ImuDelta>,
+    previous_sum: Option<ImuDelta>,
+    /// Integral of the velocity since the position was stepped, m.
+    travelled: Vector3<f64>,
+    v_before: Vector3<f64>,
+}
+
+const NOTHING: ImuDelta =
+    ImuDelta { dt_s: 0.0, dtheta: Vector3::new(0.0, 0.0, 0.0), dvel: Vector3::new(0.0, 0.0, 0.0) };
+
+impl ThreeRate {
+    /// Starts at a solution.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a divisor of 0, and what [`NavModel::new`] of the NED model refuses.
+    pub fn new(
+        earth: EarthModel,
+        form: AttitudeForm,
+        coning: Coning,
+        divisors: Divisors,
+        start: &Solution,
+    ) -> Result<Self, Error> {
+        for (what, got) in [("velocity divisor", divisors.velocity), ("position divisor", divisors.position)]
+        {
+            if got == 0 {
+                return Err(Error::Config { what, need: "must be at least 1", got: 0.0 });
+            }
+        }
+        let solution = Ned::new(earth, start)?.solution();
+        Ok(Self {
+            earth,
+            form,
+            coning,
+            divisors,
+            solution,
+            c_nb: attitude::dcm(&solution.q_nb),
+            held: None,
+            samples: 0,
+            steps: 0,
+            sum: NOTHING,
+            previous: None,
+            previous_sum: None,
+            travelled: Vector3::zeros(),
+            v_before: solution.v_n,
+        })
+    }
+
+    /// Attitude of the last sample, velocity of the last velocity step, position of the last position step.
+    #[must_use]
+    pub const fn solution(&self) -> Solution {
+        self.solution
+    }
+
+    /// Takes one sample.
+    ///
+    /// # Errors
+    /// As [`NavModel::step`] of the NED model; nothing has changed then.
+    pub fn step(&mut self, delta: &ImuDelta) -> Result<(), Error> {
+        let held = match self.held {
+            Some(held) => held,
+            None => self.hold(&self.solution, delta.dt_s * self.divisors.samples()),
+        };
+        let mut next = self.solution;
+        let alpha = self.strap(delta, self.previous.as_ref()).alpha;
+        next.q_nb = self.form.advance(&next.q_nb, &alpha, &(delta.dt_s * held.w_in))?;
+        let sum = ImuDelta {
+            dt_s: self.sum.dt_s + delta.dt_s,
+            dtheta: self.sum.dtheta + delta.dtheta,
+            dvel: self.sum.dvel + delta.dvel,
+        };
+        if self.samples + 1 < self.divisors.velocity {
+            finite("attitude", next.q_nb.coords.as_slice())?;
+            (self.samples, self.sum) = (self.samples + 1, sum);
+        } else {
+            self.velocity_step(&mut next, &sum, &held)?;
+        }
+        self.solution = next;
+        self.held.get_or_insert(held);
+        self.previous = Some(*delta);
+        Ok(())
+    }
+
+    fn strap(&self, delta: &ImuDelta, previous: Option<&ImuDelta>) -> Strap {
+        Strap::from_increments(delta, previous.filter(|_| self.coning == Coning::TwoSample))
+    }
+
+    /// Earth quantities for the slow interval of `slow_s` that begins at a solution.
+    fn hold(&self, at: &Solution, slow_s: f64) -> Held {
+        let Solution { position, v_n, .. } = *at;
+        let start = Point::new(&self.earth, position.lat_rad, position.height_m);
+        let v = v_n + 0.5 * (v_n - self.v_before);
+        let point = Point::new(
+            &self.earth,
+            position.lat_rad + 0.5 * slow_s * v.x / start.scales().0,
+            position.height_m - 0.5 * slow_s * v.z,
+        );
+        let gravity = self.earth.gravity;
+        let g_n = self.earth.ellipsoid.gravity_n(gravity, point.sin_lat, point.cos_lat, point.height_m);
+        let w_en = point.transport_rate(&v);
+        Held { point, g_n, w_en, w_in: point.w_ie_n + w_en }
+    }
+
+    /// Velocity over the gathered increments, and the position when it is due.
+    fn velocity_step(&mut self, next: &mut Solution, sum: &ImuDelta, held: &Held) -> Result<(), Error> {
+        let (dt, v) = (sum.dt_s, next.v_n);
+        let cu = self.c_nb * self.strap(sum, self.previous_sum.as_ref()).u;
+        let acceleration = |v: &Vector3<f64>| held.g_n - (2.0 * held.point.w_ie_n + held.w_en).cross(v);
+        let v_half = v + 0.5 * (cu + dt * acceleration(&v));
+        next.v_n = v + half_turn(&held.w_in, dt, &cu) + dt * acceleration(&v_half);
+        let travelled = self.travelled + 0.5 * dt * (v + next.v_n);
+        let due = self.steps + 1 >= self.divisors.position;
+        if due {
+            let (m, n) = held.point.scales();
+            let Lla { lat_rad, lon_rad, height_m } = next.position;
+            next.position = Lla {
+                lat_rad: lat_rad + travelled.x / m,
+                lon_rad: wrap_pi(lon_rad + travelled.y / (n * held.point.cos_lat)),
+                height_m: height_m - travelled.z,
+            };
+        }
+        Ned::check(&next.position, &next.v_n, &next.q_nb)?;
+        if due {
+            self.held = Some(self.hold(next, dt * f64::from(self.divisors.position)));
+            self.v_before = next.v_n;
+        }
+        self.travelled = if due { Vector3::zeros() } else { travelled };
+        self.steps = if due { 0 } else { self.steps + 1 };
+        self.c_nb = attitude::dcm(&next.q_nb);
+        (self.samples, self.sum, self.previous_sum) = (0, NOTHING, Some(*sum));
+        Ok(())
+    }
+}

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from gnssins.result import Result
     from gnssins.runner import run
     from gnssins.sim import Simulated, Simulator, simulate
+    from gnssins.uncoupled import separated
 
 __all__ = [
     "Config",
@@ -52,6 +53,7 @@ __all__ = [
     "read_dataset",
     "result",
     "run",
+    "separated",
     "sim",
     "simulate",
 ]
@@ -74,6 +76,7 @@ _HOME = {
     "preset_names": "config",
     "read_dataset": "io",
     "run": "runner",
+    "separated": "uncoupled",
     "simulate": "sim",
 }
 

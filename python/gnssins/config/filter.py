@@ -205,6 +205,14 @@ class FilterConfig(Section):
         description="Coning and sculling compensation; left out: as in the preset, else two-sample",
         examples=["two-sample"],
     )
+    attitude_form: (
+        Literal["rotation-vector", "euler", "dcm", "quaternion", "picard", "two-quaternions"] | None
+    ) = Field(
+        default=None,
+        description="Attitude equations of the NED model; rotation-vector is exact, the others are classical forms "
+        "to compare with (docs, theory of strapdown forms); left out: as in the preset, else rotation-vector",
+        examples=["rotation-vector"],
+    )
     block: Annotated[tuple[BlockConfig, ...], Field(strict=False)] = Field(
         default=(), description="Blocks of error states, one [[filter.block]] each, in the order of the state"
     )

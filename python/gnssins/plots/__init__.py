@@ -8,6 +8,7 @@ from gnssins.plots.aiding import innovations, nis
 from gnssins.plots.blocks import biases
 from gnssins.plots.errors import attitude_errors, position_errors, velocity_errors
 from gnssins.plots.ground import track
+from gnssins.plots.inertial import schuler
 from gnssins.plots.style import save
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "nis",
     "position_errors",
     "save",
+    "schuler",
     "track",
     "velocity_errors",
 ]

@@ -49,8 +49,8 @@ impl VerticalLoop {
         Ok(Self { kind, accel_m_s2: 0.0, height_before_m: None })
     }
 
-    /// The solution at the end of an interval of `dt_s` with the outer height of that instant (m); one that is not finite changes
-    /// nothing.
+    /// The solution at the end of an interval of `dt_s` with the outer height of that instant (m). While there is none
+    /// (not finite) the channel runs on with the accelerometer error found before.
     ///
     /// # Errors
     /// [`Error::Config`] for an interval that is too long for the time constant.
@@ -58,6 +58,7 @@ impl VerticalLoop {
         let mut out = *solution;
         if !height_m.is_finite() {
             self.height_before_m = None;
+            out.v_n.z += self.accel_m_s2 * dt_s;
             return Ok(out);
         }
         match self.kind {

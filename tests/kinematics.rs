@@ -14,7 +14,7 @@ use gnssins::nav::kinematics::{
     picard_step, poisson_step,
 };
 use gnssins::nav::ned::Ned;
-use gnssins::nav::three_rate::{Divisors, ThreeRate};
+use gnssins::nav::three_rate::{Divisors, Gather, ThreeRate};
 use gnssins::nav::{EarthModel, NavModel, Solution};
 use gnssins::vertical::{Vertical, VerticalLoop};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
@@ -244,8 +244,6 @@ fn a_minute_of_flight_at_20_hz_tells_the_forms_apart() {
     let [picard, picard_rad] = miss(AttitudeForm::Picard);
     let [two, two_rad] = miss(AttitudeForm::TwoQuaternions);
     let [poisson, poisson_rad] = miss(AttitudeForm::Dcm);
-    println!("{exact:e} {fourth:e} {euler:e} {picard:e} {two:e} {poisson:e}");
-    println!("{picard_rad:e} {two_rad:e} {poisson_rad:e}");
     assert!(exact < 1e-6 && fourth < 1e-4 && euler < 1e-4);
     assert!(exact < fourth && fourth < picard && picard < poisson);
     // four times the error of the angle, so four times that of everything that follows from it
@@ -296,12 +294,18 @@ fn a_filter_in_the_dcm_form_restores_to_the_same_bits() {
 }
 
 /// Error of three rates after a flight: position (m) at the last position step.
-fn in_three_rates(motion: common::Motion, divisors: (u32, u32), legs: usize) -> f64 {
+fn in_three_rates(motion: common::Motion, divisors: (u32, u32), gather: Gather, legs: usize) -> f64 {
     let (start, legs) = fly::<Ned>(motion, PLACE, legs, 10_000_000);
     let divisors = Divisors { velocity: divisors.0, position: divisors.1 };
-    let mut ins =
-        ThreeRate::new(EarthModel::default(), AttitudeForm::default(), Coning::TwoSample, divisors, &start)
-            .unwrap();
+    let mut ins = ThreeRate::new(
+        EarthModel::default(),
+        AttitudeForm::default(),
+        Coning::TwoSample,
+        divisors,
+        gather,
+        &start,
+    )
+    .unwrap();
     for leg in &legs {
         ins.step(&leg.delta).unwrap();
     }
@@ -310,15 +314,21 @@ fn in_three_rates(motion: common::Motion, divisors: (u32, u32), legs: usize) -> 
 
 #[test]
 fn three_rates_cost_accuracy_in_proportion() {
-    let one = in_three_rates(weaving, (1, 1), 6000);
-    let split = in_three_rates(weaving, (5, 4), 6000);
-    let coarse = in_three_rates(weaving, (20, 5), 6000);
-    println!("{one:e} {split:e} {coarse:e}");
+    let flown = |velocity, position, gather| in_three_rates(weaving, (velocity, position), gather, 6000);
+    let one = flown(1, 1, Gather::Body);
+    let split = flown(5, 4, Gather::Body);
+    let coarse = flown(20, 5, Gather::Body);
+    let turned = flown(20, 5, Gather::Navigation);
     assert!(one < 1e-5, "{one}");
     assert!(split < 0.3 && split > 3.0 * one, "{split} {one}");
     assert!(coarse > 3.0 * split, "{coarse} {split}");
     // at rest on a turntable only the sculling of the velocity step is left
-    assert!(in_three_rates(turning, (1, 10), 1000) < 1e-4);
+    assert!(in_three_rates(turning, (1, 10), Gather::Body, 1000) < 1e-4);
+    // turned one by one only the slow position is left, and at the rate of the samples both ways are one
+    assert!(turned < 0.05 * coarse && turned > 1e-3, "{turned}");
+    assert!((flown(1, 1, Gather::Navigation) - one).abs() < 1e-9);
+    assert_eq!(Gather::by_name("navigation"), Some(Gather::Navigation));
+    assert_eq!(Gather::by_name("earth"), None);
 }
 
 #[test]
@@ -326,7 +336,14 @@ fn three_rates_refuse_what_is_no_rate_and_no_number() {
     let start = solution([55.0, 30.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 30.0]);
     let new = |velocity, position| {
         let divisors = Divisors { velocity, position };
-        ThreeRate::new(EarthModel::default(), AttitudeForm::Euler, Coning::OneSample, divisors, &start)
+        ThreeRate::new(
+            EarthModel::default(),
+            AttitudeForm::Euler,
+            Coning::OneSample,
+            divisors,
+            Gather::Body,
+            &start,
+        )
     };
     assert_eq!(new(0, 1).unwrap_err().code(), "config.range");
     assert_eq!(new(1, 0).unwrap_err().code(), "config.range");

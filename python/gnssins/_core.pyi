@@ -283,6 +283,7 @@ def strapdown_three_rate(
     coning: str,
     attitude_form: str,
     divisors: tuple[int, int],
+    gather: str,
     t_ns: _I,
     dtheta: _F,
     dvel: _F,
@@ -293,7 +294,8 @@ def strapdown_three_rate(
     """Integrate increments in the NED model in three rates; rows as in :func:`strapdown`.
 
     Attitude is stepped at every sample, velocity at every ``divisors[0]``-th, position, gravity and the rates of the
-    navigation axes at every ``divisors[1]``-th velocity step; in between the rows repeat the last value.
+    navigation axes at every ``divisors[1]``-th velocity step; in between the rows repeat the last value. ``gather``:
+    "body" sums the velocity increments in body axes and turns them once, "navigation" turns each by itself.
     """
 
 def invert_strapdown(

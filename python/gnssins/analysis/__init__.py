@@ -16,7 +16,7 @@ from gnssins.analysis.consistency import (
 )
 from gnssins.analysis.earth import EarthVariants, earth_variants
 from gnssins.analysis.errors import NavErrors, Rmse, Track, Trajectory, compare, interpolate, ned_difference
-from gnssins.analysis.forms import FormTable, attitude_forms, three_rates
+from gnssins.analysis.forms import FormTable, agile_flight, attitude_forms, three_rates
 from gnssins.analysis.montecarlo import MonteCarlo, monte_carlo, run_seed
 from gnssins.analysis.outages import Outage, OutageTable, outage_table
 from gnssins.analysis.schuler import SchulerCurves, schuler_curves
@@ -38,6 +38,7 @@ __all__ = [
     "SchulerCurves",
     "Track",
     "Trajectory",
+    "agile_flight",
     "attitude_forms",
     "chi_square_bounds",
     "compare",

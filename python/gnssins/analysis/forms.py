@@ -24,7 +24,15 @@ from gnssins.units import NS_PER_S
 if TYPE_CHECKING:
     from gnssins.sim import Trajectory
 
-__all__ = ["ATTITUDE_FORMS", "AttitudeForm", "FormError", "FormTable", "attitude_forms", "three_rates"]
+__all__ = [
+    "ATTITUDE_FORMS",
+    "AttitudeForm",
+    "FormError",
+    "FormTable",
+    "agile_flight",
+    "attitude_forms",
+    "three_rates",
+]
 
 Array = NDArray[np.float64]
 
@@ -36,6 +44,45 @@ ATTITUDE_FORMS: Final[tuple[AttitudeForm, ...]] = get_args(AttitudeForm)
 #: Divisors of the three-rate split that :func:`three_rates` tries: samples per velocity step, velocity steps per
 #: position step.
 DIVISORS: Final = ((1, 1), (1, 10), (1, 50), (2, 10), (5, 10), (10, 10))
+
+
+def agile_flight(duration_s: float = 900.0, rate_hz: float = 100.0) -> Trajectory:
+    """Make a flight that tells the forms apart: banks to 55 deg, slopes to 20 deg, body rates to 1.7 rad/s.
+
+    An aircraft of 60 m/s from 55 deg north; turns of 12 deg/s alternate with climbs and descents, and the attitude
+    sways about all three axes throughout, so that small rotations about different axes follow each other.
+    """
+    from gnssins.sim import build_trajectory, scenario_from_dict
+
+    starts = np.arange(10.0, max(duration_s - 30.0, 11.0), 30.0)
+    signs = np.where(np.arange(starts.size) % 3 == 1, -1.0, 1.0)
+    climbs = np.where(np.arange(starts.size) % 2 == 0, 20.0, -20.0)
+    tables = {
+        "scenario": {"name": "agile-flight", "duration_s": duration_s, "rate_hz": rate_hz},
+        "start": {
+            "lat_deg": 55.0,
+            "lon_deg": 30.0,
+            "height_m": 2000.0,
+            "speed_m_s": 60.0,
+            "heading_deg": 40.0,
+        },
+        "motion": {"turn_ramp_s": 2.0, "slope_ramp_s": 8.0},
+        "turn": [
+            {"start_s": float(s), "length_s": 10.0, "rate_deg_s": float(12.0 * sign)}
+            for s, sign in zip(starts, signs, strict=True)
+        ],
+        "slope": [
+            {"from_s": float(s + 14.0), "to_s": float(s + 22.0), "angle_deg": float(angle)}
+            for s, angle in zip(starts, climbs, strict=True)
+        ],
+        "sway": [
+            {"axis": "roll", "amplitude_deg": 25.0, "period_s": 1.7},
+            {"axis": "pitch", "amplitude_deg": 8.0, "period_s": 2.3},
+            {"axis": "heading", "amplitude_deg": 5.0, "period_s": 3.1},
+        ],
+        "initial_error": {"attitude_sd_deg": 0.0, "velocity_sd_m_s": 0.0, "position_sd_m": 0.0},
+    }
+    return build_trajectory(scenario_from_dict(tables, source="agile flight"))
 
 
 @dataclass(frozen=True)
@@ -149,6 +196,7 @@ def three_rates(
     trajectory: Trajectory,
     divisors: Sequence[tuple[int, int]] = DIVISORS,
     *,
+    gather: Literal["body", "navigation"] = "body",
     attitude_form: AttitudeForm = "rotation-vector",
     repeats: int = 1,
 ) -> FormTable:
@@ -164,6 +212,9 @@ def three_rates(
         As for :func:`attitude_forms`.
     divisors : sequence of (int, int)
         Splits to try; the first one is the measure of time.
+    gather : {"body", "navigation"}
+        Velocity increments are summed in body axes and turned once per velocity step, as publications have it, or each
+        is turned with the attitude of its own sample.
     attitude_form : str
         Form of the attitude equations.
     repeats : int
@@ -185,11 +236,12 @@ def three_rates(
     model = (trajectory.ellipsoid, trajectory.gravity, trajectory.coning, attitude_form)
 
     def flight(split: tuple[int, int]) -> Callable[[], tuple[Array, Array, Array]]:
-        return lambda: _core.strapdown_three_rate(*model, split, *columns, *start)
+        return lambda: _core.strapdown_three_rate(*model, split, gather, *columns, *start)
 
     flights = {f"{rate:g}/{rate / max(v, 1):g}/{rate / max(v * p, 1):g}": flight((v, p)) for v, p in divisors}
+    title = f"Three rates (attitude/velocity/position, Hz), increments gathered in {gather} axes"
     step = int(np.lcm.reduce([v * p for v, p in divisors]))
-    return _table("Three rates (attitude/velocity/position, Hz)", trajectory, flights, step, repeats)
+    return _table(title, trajectory, flights, step, repeats)
 
 
 def _ned_only(trajectory: Trajectory) -> None:

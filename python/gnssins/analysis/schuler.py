@@ -95,7 +95,6 @@ CASES: Final = (
         "gyro-vertical",
         "vertical gyro 0.01 deg/h, after 1 h",
         gyro_rad_s=(0.0, 0.0, 0.01 * _DEG_H),
-        axis=1,
         at_s=3600.0,
         published_m=1300.0,
         note="belongs to the horizontal gyro",

@@ -5,14 +5,14 @@ use gnssins::imu::ImuDelta;
 use gnssins::inverse::FreeIns as Ins;
 use gnssins::nav::ecef::Ecef;
 use gnssins::nav::ned::Ned;
-use gnssins::nav::three_rate::{Divisors, ThreeRate};
+use gnssins::nav::three_rate::{Divisors, Gather, ThreeRate};
 use gnssins::nav::{NavModel, Solution};
 use gnssins::vertical::{Vertical, VerticalLoop};
 use nalgebra::Vector3;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-use crate::maths::{Triple, coning_by_name, earth, form_by_name, is_ecef, point, solutions};
+use crate::maths::{Triple, choice, coning_by_name, earth, form_by_name, is_ecef, point, solutions};
 use crate::{convert, errors};
 
 /// Increments of one piece of a log: lengths of the intervals, angles, velocities, outer heights.
@@ -184,7 +184,7 @@ fn follow<M: NavModel>(
 
 /// Free INS in three rates; row 0 is the start.
 #[pyfunction]
-#[pyo3(signature = (ellipsoid, gravity, coning, attitude_form, divisors, t_ns, dtheta, dvel, lla0, v0, q0))]
+#[pyo3(signature = (ellipsoid, gravity, coning, attitude_form, divisors, gather, t_ns, dtheta, dvel, lla0, v0, q0))]
 #[expect(clippy::too_many_arguments, reason = "model, start and columns")]
 pub fn strapdown_three_rate<'py>(
     py: Python<'py>,
@@ -193,6 +193,7 @@ pub fn strapdown_three_rate<'py>(
     coning: &str,
     attitude_form: &str,
     divisors: (u32, u32),
+    gather: &str,
     t_ns: &Bound<'py, PyAny>,
     dtheta: &Bound<'py, PyAny>,
     dvel: &Bound<'py, PyAny>,
@@ -207,6 +208,7 @@ pub fn strapdown_three_rate<'py>(
     };
     let (earth, coning) = (earth(py, ellipsoid, gravity)?, coning_by_name(py, coning)?);
     let form = form_by_name(py, attitude_form)?;
+    let gather = Gather::by_name(gather).ok_or_else(|| choice(py, "gather", gather, "body, navigation"))?;
     let t = convert::times(t_ns, "t_ns")?;
     let (dtheta, dvel) = (convert::rows3(dtheta, "dtheta")?, convert::rows3(dvel, "dvel")?);
     convert::same_length(py, "strapdown_three_rate", &[t.len(), dtheta.len(), dvel.len()])?;
@@ -221,7 +223,7 @@ pub fn strapdown_three_rate<'py>(
     let dt_s = intervals(py, first, rest)?;
     let divisors = Divisors { velocity: divisors.0, position: divisors.1 };
     let rows = py.detach(|| {
-        let mut ins = ThreeRate::new(earth, form, coning, divisors, &start)?;
+        let mut ins = ThreeRate::new(earth, form, coning, divisors, gather, &start)?;
         let mut rows = vec![ins.solution()];
         for (k, &dt_s) in dt_s.iter().enumerate() {
             ins.step(&ImuDelta { dt_s, dtheta: dtheta[k + 1], dvel: dvel[k + 1] })?;

@@ -358,7 +358,7 @@ fn from_point(p: &Lla) -> Vector3<f64> {
     Vector3::new(p.lat_rad, p.lon_rad, p.height_m)
 }
 
-fn choice(py: Python<'_>, what: &str, got: &str, known: &str) -> PyErr {
+pub fn choice(py: Python<'_>, what: &str, got: &str, known: &str) -> PyErr {
     errors::input(
         py,
         "config.choice",

@@ -1,7 +1,7 @@
 //! Free inertial navigation in three rates, for a processor that cannot do everything at the rate of the sensors.
 //!
 //! * fast, every sample: attitude, with the rate of the navigation axes held;
-//! * middle, every `velocity` samples: velocity, from the increments gathered since and the attitude at the start;
+//! * middle, every `velocity` samples: velocity, from the increments gathered since, as [`Gather`] says;
 //! * slow, every `position` middle steps: position, radii, Earth rate, transport rate, gravity.
 //!
 //! The parts are those of the one-rate step of [`super::ned::Ned`]: coning and sculling of [`Strap`], Earth quantities at
@@ -27,6 +27,29 @@ pub struct Divisors {
     pub position: u32,
 }
 
+/// How the velocity increments of the samples come together until the velocity is stepped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Gather {
+    /// Summed in body axes and turned once, with the attitude at the start and sculling over the whole velocity step. Cheap;
+    /// what is lost is of third order in the turn within a velocity step.
+    #[default]
+    Body,
+    /// Each turned by the attitude of its own sample: one matrix per sample more, nothing lost.
+    Navigation,
+}
+
+impl Gather {
+    /// The choice of a name, or `None`.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "body" => Some(Self::Body),
+            "navigation" => Some(Self::Navigation),
+            _ => None,
+        }
+    }
+}
+
 impl Divisors {
     /// Samples per position step.
     fn samples(self) -> f64 {
@@ -50,9 +73,12 @@ pub struct ThreeRate {
     form: AttitudeForm,
     coning: Coning,
     divisors: Divisors,
+    gather: Gather,
     solution: Solution,
-    /// Attitude at the start of the velocity step.
+    /// Attitude at the start of the velocity step, or of the sample.
     c_nb: Matrix3<f64>,
+    /// Velocity increments gathered in navigation axes, m/s.
+    force_n: Vector3<f64>,
     held: Option<Held>,
     samples: u32,
     steps: u32,
@@ -77,6 +103,7 @@ impl ThreeRate {
         form: AttitudeForm,
         coning: Coning,
         divisors: Divisors,
+        gather: Gather,
         start: &Solution,
     ) -> Result<Self, Error> {
         for (what, got) in [("velocity divisor", divisors.velocity), ("position divisor", divisors.position)]
@@ -91,8 +118,10 @@ impl ThreeRate {
             form,
             coning,
             divisors,
+            gather,
             solution,
             c_nb: attitude::dcm(&solution.q_nb),
+            force_n: Vector3::zeros(),
             held: None,
             samples: 0,
             steps: 0,
@@ -120,18 +149,32 @@ impl ThreeRate {
             None => self.hold(&self.solution, delta.dt_s * self.divisors.samples()),
         };
         let mut next = self.solution;
-        let alpha = self.strap(delta, self.previous.as_ref()).alpha;
-        next.q_nb = self.form.advance(&next.q_nb, &alpha, &(delta.dt_s * held.w_in))?;
+        let strap = self.strap(delta, self.previous.as_ref());
+        next.q_nb = self.form.advance(&next.q_nb, &strap.alpha, &(delta.dt_s * held.w_in))?;
         let sum = ImuDelta {
             dt_s: self.sum.dt_s + delta.dt_s,
             dtheta: self.sum.dtheta + delta.dtheta,
             dvel: self.sum.dvel + delta.dvel,
         };
+        let force_n = match self.gather {
+            Gather::Body => Vector3::zeros(),
+            Gather::Navigation => self.force_n + half_turn(&held.w_in, delta.dt_s, &(self.c_nb * strap.u)),
+        };
         if self.samples + 1 < self.divisors.velocity {
             finite("attitude", next.q_nb.coords.as_slice())?;
-            (self.samples, self.sum) = (self.samples + 1, sum);
+            (self.samples, self.sum, self.force_n) = (self.samples + 1, sum, force_n);
+            if self.gather == Gather::Navigation {
+                self.c_nb = attitude::dcm(&next.q_nb);
+            }
         } else {
-            self.velocity_step(&mut next, &sum, &held)?;
+            let force_n = match self.gather {
+                Gather::Body => {
+                    let u = self.strap(&sum, self.previous_sum.as_ref()).u;
+                    half_turn(&held.w_in, sum.dt_s, &(self.c_nb * u))
+                }
+                Gather::Navigation => force_n,
+            };
+            self.velocity_step(&mut next, &sum, &force_n, &held)?;
         }
         self.solution = next;
         self.held.get_or_insert(held);
@@ -160,12 +203,17 @@ impl ThreeRate {
     }
 
     /// Velocity over the gathered increments, and the position when it is due.
-    fn velocity_step(&mut self, next: &mut Solution, sum: &ImuDelta, held: &Held) -> Result<(), Error> {
+    fn velocity_step(
+        &mut self,
+        next: &mut Solution,
+        sum: &ImuDelta,
+        force_n: &Vector3<f64>,
+        held: &Held,
+    ) -> Result<(), Error> {
         let (dt, v) = (sum.dt_s, next.v_n);
-        let cu = self.c_nb * self.strap(sum, self.previous_sum.as_ref()).u;
         let acceleration = |v: &Vector3<f64>| held.g_n - (2.0 * held.point.w_ie_n + held.w_en).cross(v);
-        let v_half = v + 0.5 * (cu + dt * acceleration(&v));
-        next.v_n = v + half_turn(&held.w_in, dt, &cu) + dt * acceleration(&v_half);
+        let v_half = v + 0.5 * (force_n + dt * acceleration(&v));
+        next.v_n = v + force_n + dt * acceleration(&v_half);
         let travelled = self.travelled + 0.5 * dt * (v + next.v_n);
         let due = self.steps + 1 >= self.divisors.position;
         if due {
@@ -186,6 +234,7 @@ impl ThreeRate {
         self.steps = if due { 0 } else { self.steps + 1 };
         self.c_nb = attitude::dcm(&next.q_nb);
         (self.samples, self.sum, self.previous_sum) = (0, NOTHING, Some(*sum));
+        self.force_n = Vector3::zeros();
         Ok(())
     }
 }

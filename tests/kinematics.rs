@@ -242,7 +242,7 @@ fn a_minute_of_flight_at_20_hz_tells_the_forms_apart() {
     let [fourth, _] = miss(AttitudeForm::Quaternion);
     let [euler, _] = miss(AttitudeForm::Euler);
     let [picard, picard_rad] = miss(AttitudeForm::Picard);
-    let [two, two_rad] = miss(AttitudeForm::TwoQuaternions);
+    let [_, two_rad] = miss(AttitudeForm::TwoQuaternions);
     let [poisson, poisson_rad] = miss(AttitudeForm::Dcm);
     assert!(exact < 1e-6 && fourth < 1e-4 && euler < 1e-4);
     assert!(exact < fourth && fourth < picard && picard < poisson);

@@ -381,7 +381,8 @@ pub fn coning_by_name(py: Python<'_>, name: &str) -> PyResult<Coning> {
     match name {
         "one-sample" => Ok(Coning::OneSample),
         "two-sample" => Ok(Coning::TwoSample),
-        other => Err(choice(py, "coning", other, "one-sample, two-sample")),
+        "third-order" => Ok(Coning::ThirdOrder),
+        other => Err(choice(py, "coning", other, "one-sample, two-sample, third-order")),
     }
 }
 

@@ -216,8 +216,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             dtheta: self.sensors[0].increment(dtheta, dt_s),
             dvel: self.sensors[1].increment(dvel, dt_s),
         };
-        let previous = self.previous.filter(|_| self.settings.coning == Coning::TwoSample);
-        let strap = Strap::from_increments(&delta, previous.as_ref());
+        let strap = Strap::compensated(&delta, self.previous.as_ref(), self.settings.coning);
         self.advance(t_ns, &strap, &delta, extra)?;
         self.previous = Some(delta);
         self.w_ib_b = delta.dtheta / dt_s;

@@ -46,8 +46,7 @@ impl<M: NavModel> FreeIns<M> {
     /// # Errors
     /// What [`NavModel::step`] refuses.
     pub fn step(&mut self, delta: &ImuDelta) -> Result<(), Error> {
-        let previous = self.previous.filter(|_| self.coning == Coning::TwoSample);
-        self.model.step(&Strap::from_increments(delta, previous.as_ref()))?;
+        self.model.step(&Strap::compensated(delta, self.previous.as_ref(), self.coning))?;
         self.previous = Some(*delta);
         Ok(())
     }
@@ -79,8 +78,7 @@ impl<M: NavModel> FreeIns<M> {
                 break;
             }
         }
-        let previous = self.previous.filter(|_| self.coning == Coning::TwoSample);
-        let delta = strap.to_increments(previous.as_ref());
+        let delta = strap.to_increments(self.previous.as_ref(), self.coning);
         self.step(&delta)?;
         Ok(delta)
     }

@@ -183,7 +183,7 @@ impl ThreeRate {
     }
 
     fn strap(&self, delta: &ImuDelta, previous: Option<&ImuDelta>) -> Strap {
-        Strap::from_increments(delta, previous.filter(|_| self.coning == Coning::TwoSample))
+        Strap::compensated(delta, previous, self.coning)
     }
 
     /// Earth quantities for the slow interval of `slow_s` that begins at a solution.

@@ -62,7 +62,7 @@ fn transition<const CAP: usize>(c: &mut Criterion, states: usize) {
     let dynamics = model.step(&Strap::from_increments(&delta, None)).unwrap();
     let layout = Layout::<CAP>::new(&blocks(states)).unwrap();
     let (w, f) = (delta.dtheta / delta.dt_s, delta.dvel / delta.dt_s);
-    let (set, step) = (settings(), BlockStep::new(&layout, delta.dt_s));
+    let (set, step) = (settings(), BlockStep::new(&layout, delta.dt_s, 0.0));
     c.bench_function(&format!("transition/{states}"), |b| {
         b.iter(|| {
             let d = black_box(&dynamics);
@@ -110,7 +110,7 @@ fn predict<M: NavModel, const CAP: usize, const N: usize>(c: &mut Criterion) {
     let (start, delta) = at_rest::<M>();
     let mut model = M::new(settings().earth, &start).unwrap();
     let layout = Layout::<CAP>::new(&blocks(N)).unwrap();
-    let (set, step) = (settings(), BlockStep::new(&layout, delta.dt_s));
+    let (set, step) = (settings(), BlockStep::new(&layout, delta.dt_s, 0.0));
     let (w, f) = (delta.dtheta / delta.dt_s, delta.dvel / delta.dt_s);
     let mut p = SMatrix::<f64, N, N>::identity();
     c.bench_function(&format!("predict/{}-dense/{N}", M::NAME), |b| {

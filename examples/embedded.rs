@@ -1,7 +1,6 @@
 //! The crate in a program of yours: the filter alone, then the stream around it. `cargo run --example embedded`.
 
 use gnssins::attitude;
-use gnssins::discretise::Order;
 use gnssins::ekf::{Ekf, Initial, Settings};
 use gnssins::error::Error;
 use gnssins::frames::Lla;
@@ -100,14 +99,7 @@ fn with_the_stream() -> Result<(), Error> {
 fn make_filter(car: &Car) -> Result<Filter, Error> {
     let preset = presets::find("ned-15").expect("the preset is part of the crate");
     let blocks = [preset.blocks[0].1, preset.blocks[1].1]; // gyro bias, accelerometer bias
-    let settings = Settings {
-        earth: EarthModel::default(),
-        noise: preset.noise,
-        order: Order::Third,
-        coning: Coning::TwoSample,
-        lever_b_m: Vector3::zeros(),
-        gate_probability: Some(0.999),
-    };
+    let settings = Settings::new(preset.noise);
     // the filter starts a little wrong, and knows about how much
     let mut solution = car.truth.model().solution();
     solution.position.height_m += 2.0;
@@ -183,7 +175,13 @@ impl Car {
         for (i, row) in covariance.iter_mut().enumerate() {
             row[i] = if i < 3 { 0.5 * 0.5 } else { 0.1 * 0.1 }; // m², m²/s²
         }
-        GnssFix { t_ns: self.t_ns, position: Some(position), velocity_n, covariance }
+        GnssFix {
+            t_ns: self.t_ns,
+            position: Some(position),
+            velocity_n,
+            covariance,
+            new_constellation: false,
+        }
     }
 
     /// About normal, mean 0 and variance 1: the sum of twelve uniform numbers (Knuth's 64-bit generator).

@@ -225,7 +225,7 @@ fn check_names_the_state_that_is_not_positive_definite() {
     let broken = |change: &dyn Fn(&mut Transition<CAP>)| {
         let mut t = Transition {
             top: std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j)))),
-            blocks: BlockStep::new(&layout, 0.0),
+            blocks: BlockStep::new(&layout, 0.0, 0.0),
             q_phi: Matrix3::zeros(),
             q_dv: Matrix3::zeros(),
         };

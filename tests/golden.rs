@@ -108,13 +108,14 @@ fn navigator<M: NavModel>(config: &Value) -> Navigator<M, CAP> {
     };
     let coning = if config["coning"] == "one-sample" { Coning::OneSample } else { Coning::TwoSample };
     let ellipsoid = Ellipsoid::by_name(config["ellipsoid"].as_str().unwrap()).unwrap();
+    let noise = ImuNoise { gyro_psd: three(&imu["gyro_psd"]), accel_psd: three(&imu["accel_psd"]) };
     let settings = Settings {
         earth: EarthModel { ellipsoid, gravity },
-        noise: ImuNoise { gyro_psd: three(&imu["gyro_psd"]), accel_psd: three(&imu["accel_psd"]) },
         order: Order::from_number(config["phi_order"].as_u64().unwrap() as u8).unwrap(),
         coning,
         lever_b_m: three(&gnss["lever_b_m"]),
-        gate_probability: gnss["gate_probability"].as_f64(),
+        gate_probability: [gnss["gate_probability"].as_f64(); 3],
+        ..Settings::new(noise)
     };
     let number = |key: &str| start[key].as_f64().unwrap();
     let initial = Initial {
@@ -138,7 +139,7 @@ fn navigator<M: NavModel>(config: &Value) -> Navigator<M, CAP> {
         gyro: calibration("gyro_bias", "gyro_matrix"),
         accel: calibration("accel_bias", "accel_matrix"),
         max_gap_ns: imu["max_gap_ns"].as_i64().unwrap(),
-        latency_ns: gnss["latency_ns"].as_i64().unwrap(),
+        latency_ns: [gnss["latency_ns"].as_i64().unwrap(), 0, 0],
         ..StreamSettings::default()
     };
     Navigator::new(Ekf::new(&settings, &blocks(&config["blocks"]), &initial).unwrap(), stream)
@@ -159,6 +160,7 @@ fn fixes(gnss: &Value) -> Vec<GnssFix> {
         position: pos[k][0].is_finite().then(|| Lla::new(pos[k][0], pos[k][1], pos[k][2])),
         velocity_n: [0, 1, 2].map(|i| Some(vel[k][i]).filter(|v| v.is_finite())),
         covariance: var(&gnss["var"][k]),
+        new_constellation: false,
     };
     times(&gnss["t_ns"]).into_iter().enumerate().map(one).collect()
 }

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Rng, bytes, error, filter, fix, fly, restore, settings, solution, turning, weaving};
+use common::{Rng, bytes, error, filter, fix, fly, restore, solution, turning, weaving};
 use gnssins::attitude::{self, dcm, exp, from_dcm, from_euler, log, skew, to_euler};
 use gnssins::ekf::Ekf;
 use gnssins::error::Error;
@@ -290,7 +290,6 @@ fn a_filter_in_the_dcm_form_restores_to_the_same_bits() {
         exact.predict(leg.t_ns, &leg.delta.dtheta, &leg.delta.dvel).unwrap();
     }
     assert_ne!(bytes(&through), bytes(&exact));
-    assert_eq!(settings().gate_probability, None);
 }
 
 /// Error of three rates after a flight: position (m) at the last position step.

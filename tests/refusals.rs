@@ -46,7 +46,7 @@ fn bad_settings_are_refused_by_name() {
         assert_eq!(name_of(|s, _, _| s.noise.accel_psd.z = bad), "imu.accel noise density");
     }
     for bad in [0.0, 1.0, -0.5, 1.5, f64::NAN] {
-        assert_eq!(name_of(|s, _, _| s.gate_probability = Some(bad)), "gnss.gate_probability");
+        assert_eq!(name_of(|s, _, _| s.gate_probability[0] = Some(bad)), "gnss.gate_probability");
     }
     assert_eq!(name_of(|s, _, _| s.lever_b_m.x = f64::NAN), "gnss.lever_ba_b_m");
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {

@@ -6,8 +6,8 @@ use common::{DT_NS, Leg, Log, dense, error, fix, fly, initial, settings};
 use gnssins::ekf::{Ekf, Settings};
 use gnssins::error::Error;
 use gnssins::imu::{Calibration, ImuInput, Rates};
-use gnssins::meas::Status;
 use gnssins::meas::gnss::GnssFix;
+use gnssins::meas::{Source, Status};
 use gnssins::nav::Solution;
 use gnssins::nav::ned::Ned;
 use gnssins::stream::{Event, EventKind, Navigator, OnGap, StreamSettings};
@@ -115,7 +115,7 @@ fn split_error(input: ImuInput, dt_ns: i64) -> f64 {
         GnssFix { position: None, velocity_n: [None; 3], ..fix(2 * dt_ns + dt_ns / 3, &start, 1.0, 1.0) };
     let (whole, _) = fed(with_input(input), &start, &rows, &[]);
     let (split, log) = fed(with_input(input), &start, &rows, &[empty]);
-    assert_eq!(kinds(&log.events), [EventKind::GnssBad]);
+    assert_eq!(kinds(&log.events), [EventKind::AidBad(Source::Gnss)]);
     let [phi, dv, dp] = error(&split.ekf().solution(), &whole.ekf().solution());
     phi.norm() + dv.norm() + dp.norm()
 }
@@ -174,12 +174,12 @@ fn latency_is_taken_off_the_stamp() {
     let (start, legs) = flight(30);
     let z = fix(legs[9].t_ns, &legs[9].truth, 1.0, 0.1);
     let delayed = GnssFix { t_ns: z.t_ns + 43_000_000, ..z };
-    let set = StreamSettings { latency_ns: 43_000_000, ..with_input(ImuInput::Increments) };
+    let set = StreamSettings { latency_ns: [43_000_000; 3], ..with_input(ImuInput::Increments) };
     let (a, log_a) = fed(with_input(ImuInput::Increments), &start, &increments(&legs), &[z]);
     let (b, log_b) = fed(set, &start, &increments(&legs), &[delayed]);
     assert_eq!(common::bytes(a.ekf()), common::bytes(b.ekf()));
     assert_eq!(log_a.records, log_b.records);
-    assert_eq!(b.valid_ns(delayed.t_ns), z.t_ns);
+    assert_eq!(b.valid_ns(Source::Gnss, delayed.t_ns), z.t_ns);
 }
 
 #[test]
@@ -360,7 +360,7 @@ fn too_many_refused_fixes_raise_the_covariance_once_and_the_filter_finds_back() 
     let (start, legs) = flight(3000);
     let mut off = start;
     off.position.lat_rad += 300.0 / 6.4e6;
-    let gated = Settings { gate_probability: Some(0.999), ..settings() };
+    let gated = Settings { gate_probability: [Some(0.999); 3], ..settings() };
     let run = |reacquire_after| {
         let ekf = Ekf::new(&gated, &common::blocks(15), &initial(off)).unwrap();
         let mut nav = Nav::new(ekf, StreamSettings { reacquire_after, ..with_input(ImuInput::Increments) });

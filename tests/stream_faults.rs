@@ -8,7 +8,7 @@ use gnssins::ekf::{Ekf, Settings};
 use gnssins::error::Error;
 use gnssins::imu::{Calibration, ImuInput};
 use gnssins::meas::gnss::GnssFix;
-use gnssins::meas::{BadReason, Status};
+use gnssins::meas::{BadReason, Source, Status};
 use gnssins::nav::ecef::Ecef;
 use gnssins::nav::ned::Ned;
 use gnssins::nav::{NavModel, Solution};
@@ -23,7 +23,7 @@ fn start() -> Solution {
 }
 
 fn navigator<M: NavModel>(set: StreamSettings) -> Navigator<M, 16> {
-    let gated = Settings { gate_probability: Some(0.999), ..settings() };
+    let gated = Settings { gate_probability: [Some(0.999); 3], ..settings() };
     Navigator::new(Ekf::new(&gated, &common::blocks(15), &initial(start())).unwrap(), set)
 }
 
@@ -101,7 +101,7 @@ fn rows_before_the_start_are_late_and_the_row_at_the_start_is_the_first_sample()
     nav.gnss(&fix(-1, &start(), 1.0, 0.1), &mut log).unwrap();
     nav.gnss(&fix(DT_NS, &start(), 1.0, 0.1), &mut log).unwrap();
     assert_eq!((nav.gnss_counts().late, log.events.len()), (2, 2));
-    assert!(log.events.iter().all(|e| e.kind == EventKind::GnssLate && e.value < 0.0));
+    assert!(log.events.iter().all(|e| e.kind == EventKind::AidLate(Source::Gnss) && e.value < 0.0));
     assert!(log.records.iter().all(|r| r.status == Status::Late));
 }
 
@@ -131,7 +131,10 @@ fn bad_fixes_are_counted_with_their_reason() {
     nav.imu(DT_NS, &STILL, &WEIGHT, &mut log).unwrap();
     let reasons: Vec<_> = log.records.iter().map(|r| r.status).collect();
     assert_eq!(reasons, cases.map(|(_, reason)| Status::Bad(reason)));
-    assert!(log.events.iter().all(|e| e.kind == EventKind::GnssBad) && log.events.len() == cases.len());
+    assert!(
+        log.events.iter().all(|e| e.kind == EventKind::AidBad(Source::Gnss))
+            && log.events.len() == cases.len()
+    );
     assert_eq!(nav.gnss_counts(), Counts { total: 8, used: 0, rejected: 0, late: 0, bad: 8 });
 }
 
@@ -187,7 +190,10 @@ fn fixes_after_the_last_row_are_late_at_the_end() {
     nav.finish(&mut log);
     assert_eq!(nav.gnss_counts(), Counts { total: 2, late: 2, ..Counts::default() });
     let events: Vec<_> = log.events.iter().map(|e| (e.kind, e.row, (e.value * 1e3).round())).collect();
-    assert_eq!(events, [(EventKind::GnssAfterEnd, 1, 10.0), (EventKind::GnssAfterEnd, 0, 20.0)]);
+    assert_eq!(
+        events,
+        [(EventKind::AidAfterEnd(Source::Gnss), 1, 10.0), (EventKind::AidAfterEnd(Source::Gnss), 0, 20.0)]
+    );
 }
 
 #[test]
@@ -249,7 +255,7 @@ fn extreme_stamps_never_panic() {
                     on_gap,
                     input,
                     on_backwards: OnBackwards::Drop,
-                    latency_ns: 7,
+                    latency_ns: [7; 3],
                     ..StreamSettings::default()
                 };
                 let mut nav = navigator::<Ecef>(set);
@@ -275,13 +281,13 @@ fn fuzz<M: NavModel>(seed: u64) -> Counts {
         on_gap: OnGap::Bridge,
         on_backwards: OnBackwards::Drop,
         max_gap_ns: 200_000_000,
-        latency_ns: 20_000_000 * rng.below(3) as i64,
+        latency_ns: [20_000_000 * rng.below(3) as i64; 3],
         gyro_range: Some(1.0),
         ..StreamSettings::default()
     };
     let (s, legs) = fly::<M>(common::weaving, [47.0, 179.999, 500.0], 600, DT_NS);
     let ekf = Ekf::<M, 16>::new(
-        &Settings { gate_probability: Some(0.99), ..settings() },
+        &Settings { gate_probability: [Some(0.99); 3], ..settings() },
         &common::blocks(15),
         &initial(s),
     )

@@ -5,7 +5,7 @@ classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigE
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypedDict, final
+from typing import Any, NotRequired, TypedDict, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,31 @@ class _Measurements(TypedDict):
     innovation: _F
     innovation_cov: _F
     reason: list[str]
+    refused: NDArray[np.uint8]
+
+class _AidMeasurements(TypedDict):
+    row: _I
+    t_ns: _I
+    status: NDArray[np.uint8]
+    dof: NDArray[np.uint8]
+    nis: _F
+    innovation: _F
+    variance: _F
+    reason: list[str]
+    refused: NDArray[np.uint8]
+
+class _Taken(TypedDict):
+    gnss: _Measurements
+    baro: _AidMeasurements
+    heading: _AidMeasurements
+
+class _Linearised(TypedDict):
+    t_ns: _I
+    phi: _F
+    h: _F
+    r: _F
+    lla: _F
+    q_nb: _F
 
 class _Run(TypedDict):
     t_ns: _I
@@ -78,6 +103,9 @@ class _Run(TypedDict):
     cov_t_ns: _I
     cov: _F
     meas: _Measurements
+    baro: _AidMeasurements
+    heading: _AidMeasurements
+    lin: NotRequired[_Linearised]
     events: list[_Event]
     counts: dict[str, dict[str, int]]
     final_state: bytes
@@ -117,6 +145,10 @@ def run(
     gnss_vel: _F,
     gnss_var: _F,
     progress: Callable[[float], object] | None = None,
+    *,
+    gnss_new: NDArray[np.bool_] | None = None,
+    baro: tuple[_I, _F, _F] | None = None,
+    heading: tuple[_I, _F, _F] | None = None,
 ) -> _Run:
     """Run a filter over a log, with the GIL released.
 
@@ -131,6 +163,10 @@ def run(
         velocity NED (m/s); variances (m², m²/s²). NaN marks an absent component.
     progress
         Called now and then with the share done, 0 to 1.
+    gnss_new
+        Rows at which the constellation changed, shape (m,).
+    baro, heading
+        Stamps, heights (m) or headings (rad), and variances (m² or rad²), shapes (k,).
 
     Returns
     -------
@@ -138,7 +174,8 @@ def run(
         ``t_ns`` (k,), ``lla`` (k, 3), ``v_n`` (k, 3), ``rpy`` (k, 3), ``q_nb`` (k, 4); ``sd`` (k, 9): N, E, D (m),
         vN, vE, vD (m/s), roll, pitch, heading (rad); ``x``, ``x_sd`` (k, blocks); ``states``; ``cov_t_ns`` (c,),
         ``cov`` (c, n, n) of the error states along NED; ``meas``, one entry per GNSS row, status 0 used, 1 rejected,
-        2 late, 3 bad; ``events``; ``counts``; ``final_state``.
+        2 late, 3 bad; ``baro`` and ``heading`` likewise; ``events``; ``counts``; ``final_state``; ``lin`` as
+        :class:`gnssins.result.Linearisation` where ``output.linearise`` asks for it.
 
     Raises
     ------
@@ -154,8 +191,21 @@ class Navigator:
     def imu(self, t_ns: int, gyro: _Vector, accel: _Vector) -> None:
         """Feed an IMU row: stamp (ns), three rates or increments, three specific forces or increments."""
 
-    def gnss(self, t_ns: int, pos: _Vector | None, vel: _Vector | None, var: _Vector) -> None:
+    def gnss(
+        self,
+        t_ns: int,
+        pos: _Vector | None,
+        vel: _Vector | None,
+        var: _Vector,
+        new_constellation: bool = False,
+    ) -> None:
         """Feed a GNSS row: stamp (ns), latitude, longitude (rad), height (m), velocity NED (m/s), variances."""
+
+    def baro(self, t_ns: int, height_m: float, variance: float) -> None:
+        """Feed a barometric height: stamp (ns), height (m), variance of its white noise (m²)."""
+
+    def heading(self, t_ns: int, heading_rad: float, variance: float) -> None:
+        """Feed a heading of the forward axis: stamp (ns), heading (rad), variance (rad²)."""
 
     def finish(self) -> None:
         """End a log: fixes that still wait for an IMU row are counted as late."""
@@ -175,8 +225,8 @@ class Navigator:
     def restore(self, saved: bytes) -> None:
         """Restore what a navigator of the same configuration saved."""
 
-    def take_measurements(self) -> _Measurements:
-        """Return the records since the last call."""
+    def take_measurements(self) -> _Taken:
+        """Return the records since the last call, by source."""
 
     def take_events(self) -> list[_Event]:
         """Return the events since the last call."""

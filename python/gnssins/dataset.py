@@ -1,4 +1,4 @@
-"""Typed tables of one recording: IMU, GNSS, truth; SI units, body axes forward-right-down, times in whole ns.
+"""Typed tables of one recording: IMU, GNSS, other aids, truth; SI units, body axes forward-right-down, times in ns.
 
 Arrays are copied on construction and read-only afterwards, so a table can be shared between runs and threads.
 NaN stands for an absent value; what a row lacks is for the engine to judge and count.
@@ -8,54 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Self, TypeVar, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .errors import InputError
-from .units import NS_PER_S, seconds_to_ns
+from .rows import Array, Rows, Timed, Times, floats, marks, store, times
+from .units import seconds_to_ns
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-Rows = NDArray[np.bool_] | NDArray[np.intp] | slice
+__all__ = [
+    "Array",
+    "BaroTable",
+    "Dataset",
+    "GnssTable",
+    "HeadingTable",
+    "ImuKind",
+    "ImuTable",
+    "Rows",
+    "Source",
+    "Times",
+    "TruthTable",
+]
+
 ImuKind = Literal["rates", "mean-rates", "increments"]
-_Scalar = TypeVar("_Scalar", bound=np.generic)
-
-
-class _Timed:
-    """What all tables with a time column can tell."""
-
-    t_ns: Times
-
-    def __len__(self) -> int:
-        return int(self.t_ns.size)
-
-    @property
-    def duration_s(self) -> float:
-        """Last stamp minus first stamp, s; 0 for less than two rows."""
-        return float(self.t_ns[-1] - self.t_ns[0]) / NS_PER_S if len(self) > 1 else 0.0
-
-    @property
-    def interval_s(self) -> float:
-        """Median step between stamps, s; NaN for less than two rows."""
-        return float(np.median(np.diff(self.t_ns))) / NS_PER_S if len(self) > 1 else float("nan")
-
-    @property
-    def rate_hz(self) -> float:
-        """Rows per second, from the median step; NaN for less than two rows or a zero step."""
-        step = self.interval_s
-        return 1.0 / step if step > 0.0 else float("nan")
-
-    def _span(self) -> str:
-        if not len(self):
-            return "empty"
-        start, end = self.t_ns[0] / NS_PER_S, self.t_ns[-1] / NS_PER_S
-        return f"{len(self)} rows, {start:.3f} to {end:.3f} s, {self.rate_hz:.4g} Hz"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ImuTable(_Timed):
+class ImuTable(Timed):
     """Inertial samples in body axes forward-right-down.
 
     Attributes
@@ -85,13 +65,13 @@ class ImuTable(_Timed):
         if self.kind not in get_args(ImuKind):
             known = ", ".join(get_args(ImuKind))
             raise InputError("input.kind", f'imu kind "{self.kind}" is unknown', f"one of: {known}")
-        t_ns = _times(self.t_ns, "imu")
-        _set(self, t_ns=t_ns)
-        _set(self, gyro=_floats(self.gyro, (t_ns.size, 3), "imu", "gyro"))
-        _set(self, accel=_floats(self.accel, (t_ns.size, 3), "imu", "accel"))
+        t_ns = times(self.t_ns, "imu")
+        store(self, t_ns=t_ns)
+        store(self, gyro=floats(self.gyro, (t_ns.size, 3), "imu", "gyro"))
+        store(self, accel=floats(self.accel, (t_ns.size, 3), "imu", "accel"))
 
     def __repr__(self) -> str:
-        return f"ImuTable({self._span()}, {self.kind})"
+        return f"ImuTable({self.span()}, {self.kind})"
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
@@ -99,7 +79,7 @@ class ImuTable(_Timed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GnssTable(_Timed):
+class GnssTable(Timed):
     """Fixes of the antenna; NaN where a row lacks a value.
 
     Attributes
@@ -113,6 +93,9 @@ class GnssTable(_Timed):
     var : ndarray, shape (m, 6) or (m, 6, 6)
         Variances, or full covariance, of position north, east, down (m^2) and velocity north, east, down
         (m^2/s^2).
+    new_constellation : ndarray of bool, shape (m,), or None
+        Rows at which the receiver changed the set of satellites that it uses, so that its correlated errors
+        jumped; None if it does not tell.
 
     Raises
     ------
@@ -124,15 +107,20 @@ class GnssTable(_Timed):
     lla: Array
     v_n: Array
     var: Array
+    new_constellation: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        t_ns = _times(self.t_ns, "gnss")
+        t_ns = times(self.t_ns, "gnss")
         count = t_ns.size
-        _set(self, t_ns=t_ns)
-        _set(self, lla=_floats(self.lla, (count, 3), "gnss", "lla"))
-        _set(self, v_n=_floats(self.v_n, (count, 3), "gnss", "v_n"))
+        store(self, t_ns=t_ns)
+        store(self, lla=floats(self.lla, (count, 3), "gnss", "lla"))
+        store(self, v_n=floats(self.v_n, (count, 3), "gnss", "v_n"))
         full = np.ndim(self.var) == 3
-        _set(self, var=_floats(self.var, (count, 6, 6) if full else (count, 6), "gnss", "var"))
+        store(self, var=floats(self.var, (count, 6, 6) if full else (count, 6), "gnss", "var"))
+        if self.new_constellation is not None:
+            store(
+                self, new_constellation=marks(self.new_constellation, (count,), "gnss", "new_constellation")
+            )
 
     @classmethod
     def empty(cls) -> GnssTable:
@@ -143,7 +131,7 @@ class GnssTable(_Timed):
         if not len(self):
             return "GnssTable(empty)"
         parts = [f"{np.mean(self.has_position):.0%} position", f"{np.mean(self.has_velocity):.0%} velocity"]
-        return f"GnssTable({self._span()}, {', '.join(parts)})"
+        return f"GnssTable({self.span()}, {', '.join(parts)})"
 
     @property
     def has_position(self) -> NDArray[np.bool_]:
@@ -163,11 +151,103 @@ class GnssTable(_Timed):
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], lla=self.lla[rows], v_n=self.v_n[rows], var=self.var[rows])
+        changed = None if self.new_constellation is None else self.new_constellation[rows]
+        return replace(
+            self,
+            t_ns=self.t_ns[rows],
+            lla=self.lla[rows],
+            v_n=self.v_n[rows],
+            var=self.var[rows],
+            new_constellation=changed,
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TruthTable(_Timed):
+class BaroTable(Timed):
+    """Heights of a barometric altimeter.
+
+    Attributes
+    ----------
+    t_ns : ndarray of int64, shape (m,)
+        Stamps, ns; the latency is not taken off.
+    height_m : ndarray, shape (m,)
+        Height above the ellipsoid, m, with the slowly varying error of the altimeter in it; NaN where missing.
+    var : ndarray, shape (m,)
+        Variance of the white noise, m^2.
+
+    Raises
+    ------
+    InputError
+        Wrong shape or dtype (``input.shape``, ``input.dtype``).
+    """
+
+    t_ns: Times
+    height_m: Array
+    var: Array
+
+    def __post_init__(self) -> None:
+        t_ns = times(self.t_ns, "baro")
+        store(self, t_ns=t_ns)
+        store(self, height_m=floats(self.height_m, (t_ns.size,), "baro", "height_m"))
+        store(self, var=floats(self.var, (t_ns.size,), "baro", "var"))
+
+    @classmethod
+    def empty(cls) -> BaroTable:
+        """Return a table without rows."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+    def __repr__(self) -> str:
+        return f"BaroTable({self.span()})"
+
+    def select(self, rows: Rows) -> Self:
+        """Return the table of some rows, by mask, indices or slice."""
+        return replace(self, t_ns=self.t_ns[rows], height_m=self.height_m[rows], var=self.var[rows])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HeadingTable(Timed):
+    """Headings of a receiver with two antennas.
+
+    Attributes
+    ----------
+    t_ns : ndarray of int64, shape (m,)
+        Stamps, ns; the latency is not taken off.
+    heading_rad : ndarray, shape (m,)
+        Heading of the forward axis of the body, rad, clockwise from true north, any turn; NaN where missing.
+    var : ndarray, shape (m,)
+        Variance, rad^2.
+
+    Raises
+    ------
+    InputError
+        Wrong shape or dtype (``input.shape``, ``input.dtype``).
+    """
+
+    t_ns: Times
+    heading_rad: Array
+    var: Array
+
+    def __post_init__(self) -> None:
+        t_ns = times(self.t_ns, "heading")
+        store(self, t_ns=t_ns)
+        store(self, heading_rad=floats(self.heading_rad, (t_ns.size,), "heading", "heading_rad"))
+        store(self, var=floats(self.var, (t_ns.size,), "heading", "var"))
+
+    @classmethod
+    def empty(cls) -> HeadingTable:
+        """Return a table without rows."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+    def __repr__(self) -> str:
+        return f"HeadingTable({self.span()})"
+
+    def select(self, rows: Rows) -> Self:
+        """Return the table of some rows, by mask, indices or slice."""
+        return replace(self, t_ns=self.t_ns[rows], heading_rad=self.heading_rad[rows], var=self.var[rows])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TruthTable(Timed):
     """Reference trajectory of the IMU; NaN where a row lacks a value.
 
     Attributes
@@ -194,16 +274,16 @@ class TruthTable(_Timed):
     q_nb: Array | None = None
 
     def __post_init__(self) -> None:
-        t_ns = _times(self.t_ns, "truth")
-        _set(self, t_ns=t_ns)
-        _set(self, lla=_floats(self.lla, (t_ns.size, 3), "truth", "lla"))
-        _set(self, v_n=_floats(self.v_n, (t_ns.size, 3), "truth", "v_n"))
+        t_ns = times(self.t_ns, "truth")
+        store(self, t_ns=t_ns)
+        store(self, lla=floats(self.lla, (t_ns.size, 3), "truth", "lla"))
+        store(self, v_n=floats(self.v_n, (t_ns.size, 3), "truth", "v_n"))
         if self.q_nb is not None:
-            _set(self, q_nb=_floats(self.q_nb, (t_ns.size, 4), "truth", "q_nb"))
+            store(self, q_nb=floats(self.q_nb, (t_ns.size, 4), "truth", "q_nb"))
 
     def __repr__(self) -> str:
         attitude = "no attitude" if self.q_nb is None else "with attitude"
-        return f"TruthTable({self._span()}, {attitude})"
+        return f"TruthTable({self.span()}, {attitude})"
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
@@ -257,6 +337,10 @@ class Dataset:
         File behind each table, by path; empty for simulated data.
     meta : Mapping
         Anything else worth keeping, such as the scenario and seed of a simulation.
+    baro : BaroTable
+        Heights of a barometric altimeter; may be empty.
+    heading : HeadingTable
+        Headings of a receiver with two antennas; may be empty.
     """
 
     imu: ImuTable
@@ -264,11 +348,15 @@ class Dataset:
     truth: TruthTable | None = None
     sources: Mapping[str, Source] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
+    baro: BaroTable = field(default_factory=BaroTable.empty)
+    heading: HeadingTable = field(default_factory=HeadingTable.empty)
 
     def withhold(
         self, windows_s: Sequence[tuple[float, float]], latency_ns: int = 0
     ) -> tuple[Dataset, GnssTable]:
         """Take GNSS rows out of the data, for an outage test.
+
+        Headings come from the same satellites, so those in the windows are taken out too, by their stamps.
 
         Parameters
         ----------
@@ -284,47 +372,15 @@ class Dataset:
         withheld : GnssTable
             Those rows.
         """
-        valid_ns = self.gnss.t_ns - latency_ns
-        out = np.zeros(len(self.gnss), dtype=np.bool_)
-        for start_s, end_s in windows_s:
-            out |= (valid_ns >= seconds_to_ns(start_s)) & (valid_ns < seconds_to_ns(end_s))
-        return replace(self, gnss=self.gnss.select(~out)), self.gnss.select(out)
+        out = _inside(self.gnss.t_ns - latency_ns, windows_s)
+        lost = _inside(self.heading.t_ns, windows_s)
+        data = replace(self, gnss=self.gnss.select(~out), heading=self.heading.select(~lost))
+        return data, self.gnss.select(out)
 
 
-def _set(table: object, **values: object) -> None:
-    """Store a checked array in a frozen dataclass."""
-    for name, value in values.items():
-        object.__setattr__(table, name, value)
-
-
-def _times(values: ArrayLike, table: str) -> Times:
-    array = np.array(values)
-    if array.size and array.dtype.kind not in "iu":
-        raise InputError(
-            "input.dtype",
-            f"{table} t_ns has dtype {array.dtype}, needs whole nanoseconds (int64)",
-            "convert without a float in between: at 1e9 s a float64 resolves only 0.1 us",
-        )
-    return _frozen(array.astype(np.int64), (array.size,), table, "t_ns")
-
-
-def _floats(values: ArrayLike, shape: tuple[int, ...], table: str, name: str) -> Array:
-    try:
-        array = np.array(values, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as failure:
-        raise InputError(
-            "input.dtype", f"{table} {name} is not numeric: {failure}", "give an array of floats"
-        ) from None
-    return _frozen(array, shape, table, name)
-
-
-def _frozen(array: NDArray[_Scalar], shape: tuple[int, ...], table: str, name: str) -> NDArray[_Scalar]:
-    if array.shape != shape:
-        raise InputError(
-            "input.shape",
-            f"{table} {name} has shape {array.shape}, needs {shape}",
-            "one row per epoch, one column per component",
-            {"table": table, "name": name, "shape": array.shape},
-        )
-    array.setflags(write=False)
-    return array
+def _inside(t_ns: Times, windows_s: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Stamps inside any of the half-open windows."""
+    inside = np.zeros(t_ns.size, dtype=np.bool_)
+    for start_s, end_s in windows_s:
+        inside |= (t_ns >= seconds_to_ns(start_s)) & (t_ns < seconds_to_ns(end_s))
+    return inside

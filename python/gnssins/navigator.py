@@ -17,7 +17,7 @@ from gnssins.errors import InputError
 from gnssins.result import STATUS, Event, finite
 from gnssins.runner import Start, as_config, as_initial
 from gnssins.tables import State
-from gnssins.units import NS_PER_S
+from gnssins.units import DEG_TO_RAD, NS_PER_S
 
 __all__ = ["Measurement", "NavState", "Navigator"]
 
@@ -45,8 +45,12 @@ class NavState:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What became of one fix; see :class:`gnssins.result.Records` for the meaning of the fields."""
+    """What became of one row of an aid; see :class:`gnssins.result.Records` for the meaning of the fields.
 
+    ``source`` is ``"gnss"``, ``"baro"`` or ``"heading"``; the latter two have one component: shapes (1,) and (1, 1).
+    """
+
+    source: str
     row: int
     t_ns: int
     status: str
@@ -55,6 +59,7 @@ class Measurement:
     innovation: Array
     innovation_cov: Array
     reason: str
+    refused: int
 
 
 class Navigator:
@@ -87,6 +92,9 @@ class Navigator:
         self._uses_position = config.gnss.uses_position
         self._uses_velocity = config.gnss.uses_velocity
         self._default_var = _configured_variances(config)
+        self._baro_sd = config.baro.height_sd_m
+        heading_sd = config.heading.heading_sd_deg
+        self._heading_sd = None if heading_sd is None else heading_sd * DEG_TO_RAD
         self._core = _core.Navigator(json.dumps(config.engine_config(as_initial(initial).to_engine())))
 
     def imu(self, t: float | int, gyro: ArrayLike, accel: ArrayLike) -> None:
@@ -116,6 +124,7 @@ class Navigator:
         v_n: ArrayLike | None = None,
         sd: ArrayLike | None = None,
         cov: ArrayLike | None = None,
+        new_constellation: bool = False,
     ) -> None:
         """Take one fix; it is fused when the IMU reaches its time of validity.
 
@@ -131,6 +140,8 @@ class Navigator:
             Standard deviations of position (m) and velocity (m/s), north, east, down; left out: those of ``[gnss]``.
         cov : array_like, shape (6, 6), optional
             Full covariance instead of ``sd``.
+        new_constellation : bool, optional
+            Whether the receiver uses other satellites than in the row before.
 
         Raises
         ------
@@ -153,7 +164,38 @@ class Navigator:
                 "the accuracy of a fix is not known",
                 "give sd or cov, or [gnss] position_sd_m and velocity_sd_m_s",
             )
-        self._core.gnss(_nanoseconds(t), position, velocity, var)
+        self._core.gnss(_nanoseconds(t), position, velocity, var, new_constellation)
+
+    def baro(self, t: float | int, height_m: float, sd_m: float | None = None) -> None:
+        """Take one barometric height; it is fused when the IMU reaches its time of validity.
+
+        Parameters
+        ----------
+        t : float or int
+            Stamp as in :meth:`imu`; the latency of the configuration is taken off here.
+        height_m : float
+            Height above the ellipsoid, up to the altimeter's own error (m).
+        sd_m : float, optional
+            White noise, 1 sigma; left out: ``[baro] height_sd_m``.
+
+        Raises
+        ------
+        InputError
+            No accuracy is known.
+        """
+        sd = self._baro_sd if sd_m is None else sd_m
+        self._core.baro(_nanoseconds(t), float(height_m), _variance(sd, "baro", "height_sd_m"))
+
+    def heading(self, t: float | int, heading_rad: float, sd_rad: float | None = None) -> None:
+        """Take one heading of the forward axis, clockwise from true north (rad); as :meth:`baro`.
+
+        Raises
+        ------
+        InputError
+            No accuracy is known.
+        """
+        sd = self._heading_sd if sd_rad is None else sd_rad
+        self._core.heading(_nanoseconds(t), float(heading_rad), _variance(sd, "heading", "heading_sd_deg"))
 
     def finish(self) -> None:
         """End the stream: fixes that wait for an IMU row that will not come are counted as late."""
@@ -176,24 +218,16 @@ class Navigator:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Rows taken so far by what became of them, for ``"imu"`` and ``"gnss"``."""
+        """Rows taken so far by what became of them, for ``"imu"``, ``"gnss"`` and the aids that were fed."""
         return self._core.counts()
 
     def take_measurements(self) -> list[Measurement]:
-        """Hand out the records of the fixes since the last call."""
-        m = self._core.take_measurements()
+        """Hand out the records of all aids since the last call, source by source."""
+        records: Mapping[str, Any] = self._core.take_measurements()
         return [
-            Measurement(
-                int(m["row"][i]),
-                int(m["t_ns"][i]),
-                STATUS[int(m["status"][i])],
-                int(m["dof"][i]),
-                float(m["nis"][i]),
-                m["innovation"][i],
-                m["innovation_cov"][i],
-                m["reason"][i],
-            )
-            for i in range(len(m["row"]))
+            _measurement(source, columns, i)
+            for source, columns in records.items()
+            for i in range(len(columns["row"]))
         ]
 
     def take_events(self) -> list[Event]:
@@ -214,6 +248,30 @@ class Navigator:
             The bytes belong to another configuration; the navigator is then unchanged.
         """
         self._core.restore(saved)
+
+
+def _measurement(source: str, m: Mapping[str, Any], i: int) -> Measurement:
+    whole = source == "gnss"
+    return Measurement(
+        source,
+        int(m["row"][i]),
+        int(m["t_ns"][i]),
+        STATUS[int(m["status"][i])],
+        int(m["dof"][i]),
+        float(m["nis"][i]),
+        m["innovation"][i] if whole else m["innovation"][i : i + 1],
+        m["innovation_cov"][i] if whole else m["variance"][i : i + 1, None],
+        m["reason"][i],
+        int(m["refused"][i]),
+    )
+
+
+def _variance(sd: float | None, section: str, key: str) -> float:
+    if sd is None:
+        raise InputError(
+            "input.no_sd", f"the accuracy of a {section} row is not known", f"give it, or [{section}] {key}"
+        )
+    return float(sd) ** 2
 
 
 def _nanoseconds(t: float | int) -> int:

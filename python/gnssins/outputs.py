@@ -14,6 +14,7 @@ __all__ = ["FIGURE_FILES", "RESULT_FILES", "make_folder", "refuse_inputs", "refu
 RESULT_FILES: Final = (
     "navigation.parquet",
     "measurements.parquet",
+    "aids.parquet",
     "covariance.parquet",
     "events.csv",
     "state.bin",

@@ -19,7 +19,7 @@ from gnssins.tables import State
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["STATUS", "WITHHELD", "Covariance", "Event", "Records", "Result"]
+__all__ = ["STATUS", "WITHHELD", "AidRecords", "Covariance", "Event", "Linearisation", "Records", "Result"]
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -89,11 +89,13 @@ class Records:
     innovation_cov : ndarray, shape (j, 6, 6)
         Its covariance; NaN where absent.
     reason : sequence of str
-        Why a row was not used; empty when it was.
+        Why a row, or a part of it, was not used; empty when all was.
     lla : ndarray, shape (j, 3)
         The fix itself, at the antenna: latitude, longitude (rad), height (m); NaN where absent.
     v_n : ndarray, shape (j, 3)
         Its velocity (m/s, NED); NaN where absent.
+    refused : ndarray of uint8, shape (j,)
+        Components that were dropped, as bits: 1, 2, 4 position, 8, 16, 32 velocity.
     """
 
     row: Times
@@ -106,10 +108,85 @@ class Records:
     reason: Sequence[str]
     lla: Array
     v_n: Array
+    refused: NDArray[np.uint8]
 
     def is_status(self, *names: str) -> NDArray[np.bool_]:
         """Mask (j,) of the rows with one of these statuses (see :data:`STATUS`)."""
         return np.isin(self.status, [STATUS.index(name) for name in names])
+
+
+@dataclass(frozen=True, eq=False)
+class AidRecords:
+    """One entry per row of an aid with one value, in the order of the input; all arrays have shape (j,).
+
+    Parameters
+    ----------
+    row : ndarray of int
+        Row of the table of the aid.
+    t_ns : ndarray of int
+        Time of validity.
+    status : ndarray of uint8
+        Index into :data:`STATUS`.
+    nis : ndarray
+        Normalised innovation squared on the prior; NaN when none was computed.
+    innovation : ndarray
+        Measured minus predicted: m for heights, rad for headings; NaN when not computed.
+    variance : ndarray
+        Its variance.
+    reason : sequence of str
+        Why a row was not used; empty when it was.
+    """
+
+    row: Times
+    t_ns: Times
+    status: NDArray[np.uint8]
+    nis: Array
+    innovation: Array
+    variance: Array
+    reason: Sequence[str]
+
+    def is_status(self, *names: str) -> NDArray[np.bool_]:
+        """Mask (j,) of the rows with one of these statuses (see :data:`STATUS`)."""
+        return np.isin(self.status, [STATUS.index(name) for name in names])
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """The linearised system along a run, one entry per measurement of any source (``[run] linearise``).
+
+    With x the error states, ``x[k] = phi[k] x[k-1]`` up to noise and ``predicted - measured = h[k] x[k] - noise``. The
+    feedback of estimates into the navigation state turns the attitude errors by terms of second order, which are left
+    out.
+
+    Parameters
+    ----------
+    t_ns : ndarray of int, shape (m,)
+        Times of validity.
+    phi : ndarray, shape (m, n, n)
+        Transition from the measurement before, at first from the start.
+    h : ndarray, shape (m, 6, n)
+        Rows of the measurement; NaN where a component is absent.
+    r : ndarray, shape (m, 6, 6)
+        Noise covariance; NaN where absent.
+    lla, q_nb : ndarray, shapes (m, 3) and (m, 4)
+        Position (rad, rad, m) and attitude (body to NED) at which the rows hold.
+    axes : {"ned", "ecef"}
+        Axes of the nine navigation errors.
+    states : tuple of State
+        Names and units, SI.
+    """
+
+    t_ns: Times
+    phi: Array
+    h: Array
+    r: Array
+    lla: Array
+    q_nb: Array
+    axes: str
+    states: tuple[State, ...]
+
+    def __len__(self) -> int:
+        return int(self.t_ns.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,11 +220,16 @@ class Result:
     log : tuple of Event
         Events in order of time.
     counts : mapping
-        ``counts["imu"]`` and ``counts["gnss"]``: in, used, rejected, late, bad; for GNSS also withheld.
+        ``counts["imu"]``, ``counts["gnss"]`` and, where they were fed, ``counts["baro"]`` and ``counts["heading"]``:
+        in, used, rejected, late, bad; for GNSS and headings also withheld.
     metadata : mapping
         Versions, configuration, input hashes, seed, wall time: what ``run.toml`` holds.
     final_state : bytes
         State of the engine at the end, for :meth:`gnssins.Navigator.restore`.
+    aids : mapping of str to AidRecords
+        Records of ``"baro"`` and ``"heading"``, where they were fed.
+    linearisation : Linearisation or None
+        The linearised system, where ``[run] linearise`` asks for it; not saved.
     """
 
     t_ns: Times
@@ -165,6 +247,8 @@ class Result:
     counts: Mapping[str, Mapping[str, int]]
     metadata: Mapping[str, Any] = field(default_factory=dict)
     final_state: bytes = b""
+    aids: Mapping[str, AidRecords] = field(default_factory=dict)
+    linearisation: Linearisation | None = None
 
     def __len__(self) -> int:
         return int(self.t_ns.size)
@@ -228,6 +312,7 @@ class Result:
             "reason": pl.Series(list(r.reason), dtype=pl.String),
             "dof": r.dof,
             "nis": r.nis,
+            "refused": r.refused,
         }
         fix = np.column_stack([np.degrees(r.lla[:, :2]), r.lla[:, 2], r.v_n])
         columns.update(zip(tables.NAVIGATION_COLUMNS[1:7], fix.T, strict=True))
@@ -237,6 +322,26 @@ class Result:
         flat = np.ascontiguousarray(r.innovation_cov.reshape(-1, 36))
         columns["innovation_cov"] = pl.Series(flat, dtype=pl.Array(pl.Float64, 36))
         return pl.DataFrame(columns)
+
+    @cached_property
+    def aid_measurements(self) -> pl.DataFrame:
+        """One row per row of the aids beside GNSS: heights in m, headings in deg."""
+        frames = []
+        for source, r in self.aids.items():
+            factor, unit = tables.AID_UNITS[source]
+            columns = {
+                "source": pl.Series([source] * r.row.size, dtype=pl.String),
+                "row": r.row,
+                "time_s": tables.seconds(r.t_ns),
+                "status": pl.Series([STATUS[s] for s in r.status], dtype=pl.String),
+                "reason": pl.Series(list(r.reason), dtype=pl.String),
+                "nis": r.nis,
+                "innovation": r.innovation * factor,
+                "sd_innovation": np.sqrt(r.variance) * factor,
+                "unit": pl.Series([unit] * r.row.size, dtype=pl.String),
+            }
+            frames.append(pl.DataFrame(columns, schema=tables.AID_SCHEMA))
+        return pl.concat(frames) if frames else pl.DataFrame(schema=tables.AID_SCHEMA)
 
     @cached_property
     def events(self) -> pl.DataFrame:

@@ -3,6 +3,7 @@
 =======================  ======================================================================================
 ``navigation.parquet``   one row per epoch; columns of :attr:`gnssins.Result.navigation`
 ``measurements.parquet`` one row per GNSS row; columns of :attr:`gnssins.Result.measurements`
+``aids.parquet``         one row per row of the other aids; columns of :attr:`gnssins.Result.aid_measurements`
 ``covariance.parquet``   ``t_ns`` and ``covariance`` (n*n numbers row by row, SI, order of the states)
 ``events.csv``           ``time_s, code, row, value, message``
 ``state.bin``            state of the engine at the end, for :meth:`gnssins.Navigator.restore`
@@ -34,7 +35,7 @@ from gnssins.tables import State
 from gnssins.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from gnssins.result import Event, Records, Result
+    from gnssins.result import AidRecords, Event, Records, Result
 
 __all__ = ["FORMAT", "load", "save", "write_atomic"]
 
@@ -74,6 +75,7 @@ def save(result: Result, folder: str | Path) -> Path:
     (target / RUN_FILE).unlink(missing_ok=True)
     write_atomic(target / "navigation.parquet", result.navigation.write_parquet)
     write_atomic(target / "measurements.parquet", result.measurements.write_parquet)
+    write_atomic(target / "aids.parquet", result.aid_measurements.write_parquet)
     write_atomic(target / "events.csv", result.events.write_csv)
     write_atomic(target / "covariance.parquet", _covariance_table(result).write_parquet)
     write_atomic(target / "state.bin", lambda path: path.write_bytes(result.final_state))
@@ -146,6 +148,7 @@ def load(folder: str | Path) -> Result:
         counts=counts,
         metadata=document,
         final_state=_read(source / "state.bin", Path.read_bytes),
+        aids=_load_aids(source),
     )
 
 
@@ -221,7 +224,36 @@ def _load_records(source: Path) -> Records:
         reason=tuple(table["reason"]),
         lla=np.column_stack([np.radians(fix[:, :2]), fix[:, 2]]),
         v_n=fix[:, 3:].copy(),
+        refused=_refused(table),
     )
+
+
+def _refused(table: pl.DataFrame) -> NDArray[np.uint8]:
+    """Dropped components; none in results that were written before there were any."""
+    if "refused" in table.columns:
+        return table["refused"].to_numpy()
+    return np.zeros(table.height, dtype=np.uint8)
+
+
+def _load_aids(source: Path) -> dict[str, AidRecords]:
+    from gnssins.result import STATUS, AidRecords
+
+    if not (source / "aids.parquet").is_file():  # written before there were other aids
+        return {}
+    aids = {}
+    whole = _read(source / "aids.parquet", pl.read_parquet)
+    for (name,), table in whole.group_by("source", maintain_order=True):
+        factor, _ = tables.AID_UNITS[str(name)]
+        aids[str(name)] = AidRecords(
+            row=table["row"].to_numpy(),
+            t_ns=_nanoseconds(table["time_s"].to_numpy()),
+            status=np.array([STATUS.index(status) for status in table["status"]], dtype=np.uint8),
+            nis=table["nis"].to_numpy(),
+            innovation=table["innovation"].to_numpy() / factor,
+            variance=(table["sd_innovation"].to_numpy() / factor) ** 2,
+            reason=tuple(table["reason"]),
+        )
+    return aids
 
 
 def _load_events(source: Path) -> tuple[Event, ...]:

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from gnssins.units import ACCEL_BIAS, GYRO_BIAS, NS_PER_S
 
 __all__ = [
+    "AID_SCHEMA",
+    "AID_UNITS",
     "EVENT_SCHEMA",
     "INNOVATION_COLUMNS",
     "NAVIGATION_COLUMNS",
@@ -77,6 +79,23 @@ EVENT_SCHEMA: Final[dict[str, type[pl.DataType]]] = {
     "value": pl.Float64,
     "message": pl.String,
 }
+
+
+#: Columns of the table of aids beside GNSS.
+AID_SCHEMA: Final[dict[str, type[pl.DataType]]] = {
+    "source": pl.String,
+    "row": pl.Int64,
+    "time_s": pl.Float64,
+    "status": pl.String,
+    "reason": pl.String,
+    "nis": pl.Float64,
+    "innovation": pl.Float64,
+    "sd_innovation": pl.Float64,
+    "unit": pl.String,
+}
+
+#: Unit in which that table shows an innovation, with its factor from SI.
+AID_UNITS: Final = {"baro": (1.0, "m"), "heading": (math.degrees(1.0), "deg")}
 
 
 @dataclass(frozen=True)

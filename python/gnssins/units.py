@@ -52,6 +52,9 @@ MISALIGNMENT: Final[Mapping[str, float]] = MappingProxyType({"mrad": 1e-3})
 #: Lengths, to m.
 LENGTH: Final[Mapping[str, float]] = MappingProxyType({"m": 1.0})
 
+#: Heights of an altimeter, to m.
+HEIGHT: Final[Mapping[str, float]] = MappingProxyType({"m": 1.0, "ft": 0.3048})
+
 DEG_SQRT_H_TO_RAD_SQRT_S: Final = _DEG / 60.0
 """Angle random walk: deg/sqrt(h) to rad/sqrt(s)."""
 

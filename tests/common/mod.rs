@@ -98,14 +98,8 @@ pub fn blocks(states: usize) -> Vec<Block> {
 }
 
 pub fn settings() -> Settings {
-    Settings {
-        earth: EarthModel::default(),
-        noise: ImuNoise { gyro_psd: Vector3::repeat(1e-9), accel_psd: Vector3::repeat(1e-6) },
-        order: Order::Third,
-        coning: Coning::TwoSample,
-        lever_b_m: Vector3::zeros(),
-        gate_probability: None,
-    }
+    let noise = ImuNoise { gyro_psd: Vector3::repeat(1e-9), accel_psd: Vector3::repeat(1e-6) };
+    Settings { gate_probability: [None; 3], ..Settings::new(noise) }
 }
 
 pub fn solution(lla: [f64; 3], v_n: [f64; 3], euler_deg: [f64; 3]) -> Solution {
@@ -140,7 +134,7 @@ pub fn transition<const CAP: usize>(
     dt_s: f64,
     order: Order,
 ) -> Transition<CAP> {
-    Transition::new(dynamics, layout, noise, w_b, f_b, &BlockStep::new(layout, dt_s), order)
+    Transition::new(dynamics, layout, noise, w_b, f_b, &BlockStep::new(layout, dt_s, 0.0), order)
 }
 
 /// One interval of a flight: its end, its true increments and the truth there.
@@ -203,6 +197,7 @@ pub fn fix(t_ns: i64, truth: &Solution, sd_p: f64, sd_v: f64) -> GnssFix {
         position: Some(truth.position),
         velocity_n: [0, 1, 2].map(|i| Some(truth.v_n[i])),
         covariance,
+        new_constellation: false,
     }
 }
 

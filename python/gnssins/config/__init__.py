@@ -4,6 +4,7 @@
 commented list of all keys.
 """
 
+from .aids import BaroConfig, HeadingConfig
 from .axes import axes_matrix, proper_letters
 from .filter import BLOCK_SIZES, BLOCK_UNITS, BlockConfig, FilterConfig
 from .gnss import GnssConfig, TruthConfig
@@ -17,12 +18,14 @@ __all__ = [
     "BLOCK_SIZES",
     "BLOCK_UNITS",
     "AccelConfig",
+    "BaroConfig",
     "BlockConfig",
     "Config",
     "FilterConfig",
     "GeoPoint",
     "GnssConfig",
     "GyroConfig",
+    "HeadingConfig",
     "ImuConfig",
     "InitialConfig",
     "RunConfig",

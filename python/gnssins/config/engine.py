@@ -11,6 +11,7 @@ from .filter import BLOCK_SIZES, BlockConfig
 from .presets import load_preset
 
 if TYPE_CHECKING:
+    from .aids import BaroConfig, HeadingConfig
     from .root import Config
 
 _DEFAULTS: Mapping[str, Any] = {
@@ -27,6 +28,7 @@ _PROCESS_KEYS: Mapping[str, tuple[str, ...]] = {
     "random_walk": ("psd",),
     "gauss_markov": ("sd", "tau_s"),
 }
+_BOUNDS = ("jump_sd", "floor_sd")
 
 
 def filter_settings(config: Config, preset: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,6 +106,7 @@ def _merge_block(base: Mapping[str, Any], own: BlockConfig) -> dict[str, Any]:
         "psd": [value**2 for value in walk] if walk else None,
         "sd": own.values("sd"),
         "tau_s": [own.tau_s] * size if own.tau_s is not None else None,
+        "distance_m": own.distance_m,
     }
     inherited = base if process == base["process"] else {"initial_sd": base.get("initial_sd")}
     merged: dict[str, Any] = {"kind": own.kind, "name": base["name"], "process": process}
@@ -113,6 +116,11 @@ def _merge_block(base: Mapping[str, Any], own: BlockConfig) -> dict[str, Any]:
         merged["initial_sd"] = merged["sd"]
     if merged["initial"] is None:
         merged["initial"] = [0.0] * size
+    if process == "gauss_markov":
+        merged["distance_m"] = own.distance_m if own.distance_m is not None else inherited.get("distance_m")
+    for key in _BOUNDS:
+        values = own.values(key)
+        merged[key] = values if values is not None else base.get(key, [])
     return merged
 
 
@@ -201,15 +209,37 @@ def gnss_settings(config: Config) -> dict[str, Any]:
         "latency_ns": units.ms_to_ns(gnss.latency_ms),
         "gate_probability": None if gnss.gate_probability == "off" else gnss.gate_probability,
         "reacquire_after": None if gnss.reacquire_after == "off" else gnss.reacquire_after,
+        "gate": gnss.gate,
+        "trace_ratio_limit": gnss.trace_ratio_limit,
+        "max_accel_m_s2": gnss.max_accel_m_s2,
     }
 
 
-def output_settings(config: Config) -> dict[str, int]:
+def aid_settings(aid: BaroConfig | HeadingConfig) -> dict[str, Any]:
+    """Section of an aid beside GNSS in the engine configuration: latency and gate."""
+    return {
+        "latency_ns": units.ms_to_ns(aid.latency_ms),
+        "gate_probability": None if aid.gate_probability == "off" else aid.gate_probability,
+    }
+
+
+def floor_settings(config: Config) -> dict[str, list[float]]:
+    """Section ``floor`` of the engine configuration: lower bounds of the navigation sigmas, rad, m/s, m."""
+    own = config.filter
+    return {
+        "phi": [v * units.DEG_TO_RAD for v in own.floor_attitude_deg],
+        "v": list(own.floor_velocity_m_s),
+        "p": list(own.floor_position_m),
+    }
+
+
+def output_settings(config: Config) -> dict[str, Any]:
     """Section ``output`` of the engine configuration: intervals in ns, 0 = every row or none."""
     rate, covariance = config.run.output_rate_hz, config.run.covariance_interval_s
     return {
         "interval_ns": 0 if rate is None else units.seconds_to_ns(1.0 / rate),
         "covariance_interval_ns": 0 if covariance is None else units.seconds_to_ns(covariance),
+        "linearise": config.run.linearise,
     }
 
 
@@ -219,9 +249,13 @@ def engine_config(config: Config, initial: Mapping[str, Any] | None = None) -> d
     blocks, _ = merge_blocks(config.filter.block, preset)
     engine: dict[str, Any] = {
         **filter_settings(config, preset),
+        "floor": floor_settings(config),
+        "feedback_ns": units.seconds_to_ns(config.filter.feedback_interval_s),
         "imu": imu_settings(config, preset),
         "blocks": blocks,
         "gnss": gnss_settings(config),
+        "baro": aid_settings(config.baro),
+        "heading": aid_settings(config.heading),
         "output": output_settings(config),
     }
     if initial is not None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from .. import units
-from .base import Positive, Problem, Section, choices, invalid, is_number, refuse
+from .base import Floor3, Positive, Problem, Section, choices, invalid, is_number, refuse
 from .presets import check_preset
 
 BlockKind = Literal[
@@ -45,6 +45,9 @@ BLOCK_SIZES: Mapping[str, int] = {
 }
 """Number of states of each kind of block."""
 
+_OUTSIDE = ("gnss_position_error", "gnss_velocity_error", "baro_bias")
+"""Kinds whose errors depend on where the vehicle is."""
+
 
 def _numbers(value: Any) -> Any:
     """Accept a number or a list of numbers."""
@@ -69,7 +72,16 @@ def _positive(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
 
 
 _Numbers = float | tuple[float, ...]
+
+
+def _not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    if min(value if isinstance(value, tuple) else (value,)) < 0.0:
+        raise invalid("config.range", "must not be negative")
+    return value
+
+
 Numbers = Annotated[_Numbers, BeforeValidator(_numbers)]
+FloorNumbers = Annotated[_Numbers, BeforeValidator(_numbers), AfterValidator(_not_negative)]
 PositiveNumbers = Annotated[_Numbers, BeforeValidator(_numbers), AfterValidator(_positive)]
 
 
@@ -117,6 +129,22 @@ class BlockConfig(Section):
     tau_s: Positive | None = Field(
         default=None, description="gauss_markov: correlation time, s", examples=[3600.0]
     )
+    distance_m: Positive | None = Field(
+        default=None,
+        description="gauss_markov errors of receiver and barometer: correlation over the way too, m; the rate is "
+        "1/tau_s + ground speed/distance_m",
+        examples=[250_000.0],
+    )
+    jump_sd: FloorNumbers | None = Field(
+        default=None,
+        description="What a change of the satellite constellation adds to the uncertainty, 1 sigma",
+        examples=[3.0],
+    )
+    floor_sd: FloorNumbers | None = Field(
+        default=None,
+        description="Lower bound of the uncertainty, held after every measurement, 1 sigma; left out: none",
+        examples=[0.1],
+    )
 
     @property
     def state_name(self) -> str:
@@ -136,7 +164,8 @@ class BlockConfig(Section):
     def _consistent(self) -> BlockConfig:
         problems = []
         table = BLOCK_UNITS[self.kind]
-        given = [key for key in ("initial", "initial_sd", "walk", "sd") if getattr(self, key) is not None]
+        keys = ("initial", "initial_sd", "walk", "sd", "jump_sd", "floor_sd")
+        given = [key for key in keys if getattr(self, key) is not None]
         if self.unit is None and given:
             problems.append(
                 Problem(
@@ -155,7 +184,16 @@ class BlockConfig(Section):
             if isinstance(value, tuple) and len(value) != size:
                 text = f'must be one number or {size} numbers for kind = "{self.kind}", not {len(value)}'
                 problems.append(Problem("config.type", text, "", key))
-        foreign = {"walk": "random_walk", "sd": "gauss_markov", "tau_s": "gauss_markov"}
+        foreign = {
+            "walk": "random_walk",
+            "sd": "gauss_markov",
+            "tau_s": "gauss_markov",
+            "distance_m": "gauss_markov",
+        }
+        if self.distance_m is not None and self.kind not in _OUTSIDE:
+            names = ", ".join(_OUTSIDE)
+            text = f"correlation over the way is for {names}"
+            problems.append(Problem("config.conflict", text, "", "distance_m"))
         for key, process in foreign.items():
             if getattr(self, key) is not None and self.process is not None and self.process != process:
                 text = f'belongs to process = "{process}", but process = "{self.process}"'
@@ -213,6 +251,24 @@ class FilterConfig(Section):
         description="Attitude equations of the NED model; rotation-vector is exact, the others are classical forms "
         "to compare with (docs, theory of strapdown forms); left out: as in the preset, else rotation-vector",
         examples=["rotation-vector"],
+    )
+    feedback_interval_s: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="Shortest time between two corrections of the navigation solution by the estimated errors, s; 0: "
+        "after every measurement. Must stay well inside the range in which the error equations are linear",
+    )
+    floor_attitude_deg: Floor3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Lower bound of the attitude uncertainty about north, east, down, deg, 1 sigma",
+    )
+    floor_velocity_m_s: Floor3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Lower bound of the velocity uncertainty north, east, down, m/s, 1 sigma",
+    )
+    floor_position_m: Floor3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Lower bound of the position uncertainty north, east, down, m, 1 sigma",
     )
     block: Annotated[tuple[BlockConfig, ...], Field(strict=False)] = Field(
         default=(), description="Blocks of error states, one [[filter.block]] each, in the order of the state"

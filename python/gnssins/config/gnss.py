@@ -33,7 +33,7 @@ def _reacquire(value: Any) -> Any:
     )
 
 
-def _gate(value: Any) -> Any:
+def gate(value: Any) -> Any:
     """Accept a probability below 1, or the word off."""
     if value == "off" or (is_number(value) and 0.0 < value < 1.0):
         return value
@@ -111,6 +111,11 @@ class GnssConfig(Section):
         default=(0.0, 0.0, 0.0),
         description="Smallest velocity accuracy taken from the file, m/s, after sd_scale",
     )
+    new_constellation_column: str = Field(
+        default="new_constellation",
+        description="Column that is not 0 where the receiver changed its set of satellites, so that its slow errors "
+        "jumped; need not be there",
+    )
     lever_ba_b_m: Vec3 = Field(
         default=(0.0, 0.0, 0.0),
         description="Lever arm from the IMU to the antenna, forward, right, down, m (antenna on the roof: "
@@ -123,7 +128,7 @@ class GnssConfig(Section):
         ge=-10_000.0,
         le=10_000.0,
     )
-    gate_probability: Annotated[float | Literal["off"], BeforeValidator(_gate)] = Field(
+    gate_probability: Annotated[float | Literal["off"], BeforeValidator(gate)] = Field(
         default=0.999,
         description="Chi-square gate: a fix that a right filter would see less often than 1 - p is rejected; "
         'or "off"',
@@ -132,6 +137,23 @@ class GnssConfig(Section):
         default=10,
         description="Fixes rejected in a row after which the filter declares its own covariance too small, raises "
         'it as a counted event (filter.reset) and tries again; "off" never follows them',
+    )
+    gate: Literal["joint", "parts"] = Field(
+        default="joint",
+        description="joint: the whole fix passes the chi-square gate or none of it; parts: position and velocity are "
+        "judged apart, and only what fails is dropped",
+    )
+    trace_ratio_limit: Positive | None = Field(
+        default=None,
+        description="Also drop position or velocity where innovation squared over the trace of its covariance reaches "
+        "this (Novik 2011: at least 10); left out: no such test",
+        examples=[10.0],
+    )
+    max_accel_m_s2: Positive | None = Field(
+        default=None,
+        description="Also drop position or velocity that the vehicle cannot have reached since the last accepted fix "
+        "with this acceleration, m/s^2 (plus 7 sigma of the fix); left out: no such test",
+        examples=[5.0],
     )
     missing: str = Field(
         default="nan", description="Text that stands for a missing value, beside an empty cell"
@@ -173,6 +195,7 @@ class GnssConfig(Section):
             names += self.position_columns
         if self.uses_velocity:
             names += self.velocity_columns
+        names.append(self.new_constellation_column)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             problems.append(Problem("config.columns", f"column used twice: {', '.join(twice)}"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -25,6 +27,17 @@ from .base import (
 
 ImuKind = Literal["rates", "mean-rates", "increments"]
 
+Convention = Literal["one-sided", "two-sided"]
+"""What the square of a noise density stands for; see :data:`DENSITY_SIDES`."""
+
+DENSITY_SIDES: Mapping[str, float] = {"two-sided": 1.0, "one-sided": math.sqrt(2.0)}
+"""Root of a density of each convention over the root of the two-sided one.
+
+Two-sided (IEEE Std 952, angle and velocity random walk): the integral of the noise over a time T has the variance
+``density^2 T``. One-sided: the noise in a bandwidth B has the variance ``density^2 B``, so the density over positive
+frequencies alone holds what the two-sided one spreads over both signs, twice as much.
+"""
+
 
 def _axes(value: Any) -> Any:
     """Accept axis letters or a matrix, and prove that either is a proper rotation."""
@@ -41,9 +54,24 @@ def _one_noise_only(given: list[str]) -> list[Problem]:
     return [Problem("config.conflict", f"the same noise given twice: {', '.join(given)}", "keep one of them")]
 
 
-def _squares(density: tuple[float, ...], factor: float) -> list[float]:
-    """Spectral densities from root densities and their unit factor."""
-    return [(value * factor) ** 2 for value in density]
+def _no_density(convention: str, density: object) -> list[Problem]:
+    """Refuse a convention without the density that it speaks about."""
+    if density is not None or convention == "two-sided":
+        return []
+    text = "speaks about a noise density, but there is none: a random walk has no sides"
+    return [Problem("config.conflict", text, "drop it", "noise_density_convention")]
+
+
+def _squares(density: tuple[float, ...], factor: float, convention: str = "two-sided") -> list[float]:
+    """Two-sided spectral densities from root densities, their unit factor and what they mean."""
+    return [(value * factor / DENSITY_SIDES[convention]) ** 2 for value in density]
+
+
+_CONVENTION = (
+    "What noise_density means. two-sided: its square times the time is the variance of the integral (ARW, VRW; IEEE "
+    "Std 952); one-sided: its square times the bandwidth is the variance of the reading, which makes it sqrt(2) "
+    "times as large"
+)
 
 
 class GyroConfig(Section):
@@ -59,6 +87,7 @@ class GyroConfig(Section):
         description="The same as a rate noise density, deg/s/sqrt(Hz); 60 times smaller in number",
         examples=[0.0025],
     )
+    noise_density_convention: Convention = Field(default="two-sided", description=_CONVENTION)
     range_deg_s: Positive | None = Field(
         default=None,
         description="Full scale, deg/s; samples at or beyond it are flagged as saturated",
@@ -76,15 +105,16 @@ class GyroConfig(Section):
     @model_validator(mode="after")
     def _one_noise(self) -> GyroConfig:
         given = [k for k in ("arw_deg_sqrt_h", "noise_density_deg_s_sqrt_hz") if getattr(self, k) is not None]
-        refuse(_one_noise_only(given))
+        convention, density = self.noise_density_convention, self.noise_density_deg_s_sqrt_hz
+        refuse(_one_noise_only(given) + _no_density(convention, density))
         return self
 
     def psd(self) -> list[float] | None:
-        """Power spectral density per axis, rad^2/s; None if the configuration gives no noise."""
+        """Two-sided power spectral density per axis, rad^2/s; None if the configuration gives no noise."""
         if self.arw_deg_sqrt_h is not None:
             return _squares(self.arw_deg_sqrt_h, units.DEG_SQRT_H_TO_RAD_SQRT_S)
         if self.noise_density_deg_s_sqrt_hz is not None:
-            return _squares(self.noise_density_deg_s_sqrt_hz, units.DEG_TO_RAD)
+            return _squares(self.noise_density_deg_s_sqrt_hz, units.DEG_TO_RAD, self.noise_density_convention)
         return None
 
 
@@ -102,6 +132,7 @@ class AccelConfig(Section):
     noise_density_m_s2_sqrt_hz: Noise3 | None = Field(
         default=None, description="The same as a noise density, m/s^2/sqrt(Hz)", examples=[0.0014]
     )
+    noise_density_convention: Convention = Field(default="two-sided", description=_CONVENTION)
     range_g: Positive | None = Field(
         default=None,
         description="Full scale, g; samples at or beyond it are flagged as saturated",
@@ -117,17 +148,19 @@ class AccelConfig(Section):
     @model_validator(mode="after")
     def _one_noise(self) -> AccelConfig:
         keys = ("vrw_m_s_sqrt_h", "noise_density_ug_sqrt_hz", "noise_density_m_s2_sqrt_hz")
-        refuse(_one_noise_only([k for k in keys if getattr(self, k) is not None]))
+        given = [k for k in keys if getattr(self, k) is not None]
+        density = next((k for k in given if k != "vrw_m_s_sqrt_h"), None)
+        refuse(_one_noise_only(given) + _no_density(self.noise_density_convention, density))
         return self
 
     def psd(self) -> list[float] | None:
-        """Power spectral density per axis, m^2/s^3; None if the configuration gives no noise."""
+        """Two-sided power spectral density per axis, m^2/s^3; None if the configuration gives no noise."""
         if self.vrw_m_s_sqrt_h is not None:
             return _squares(self.vrw_m_s_sqrt_h, units.M_S_SQRT_H_TO_M_S_SQRT_S)
         if self.noise_density_ug_sqrt_hz is not None:
-            return _squares(self.noise_density_ug_sqrt_hz, units.UG_TO_M_S2)
+            return _squares(self.noise_density_ug_sqrt_hz, units.UG_TO_M_S2, self.noise_density_convention)
         if self.noise_density_m_s2_sqrt_hz is not None:
-            return _squares(self.noise_density_m_s2_sqrt_hz, 1.0)
+            return _squares(self.noise_density_m_s2_sqrt_hz, 1.0, self.noise_density_convention)
         return None
 
 

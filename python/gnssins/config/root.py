@@ -13,6 +13,7 @@ import tomlkit
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ConfigError, InputError, MissingFileError
+from .aids import BaroConfig, HeadingConfig
 from .base import Section, refuse
 from .engine import engine_config, filter_problems
 from .filter import FilterConfig
@@ -21,7 +22,7 @@ from .imu import ImuConfig
 from .problems import config_error
 from .start import InitialConfig, RunConfig
 
-_FILE_SECTIONS = ("imu", "gnss", "truth")
+_FILE_SECTIONS = ("imu", "gnss", "baro", "heading", "truth")
 
 
 class Config(Section):
@@ -36,6 +37,8 @@ class Config(Section):
     run: RunConfig = Field(default=RunConfig(), description="Which part of the log to process, what to write")
     imu: ImuConfig = Field(default=ImuConfig(), description="The IMU log and its sensors")
     gnss: GnssConfig = Field(default=GnssConfig(), description="The GNSS log, its accuracy and its antenna")
+    baro: BaroConfig = Field(default=BaroConfig(), description="Barometric altimeter")
+    heading: HeadingConfig = Field(default=HeadingConfig(), description="Headings from two antennas")
     filter: FilterConfig = Field(default=FilterConfig(), description="Navigation model and error states")
     initial: InitialConfig = Field(default=InitialConfig(), description="What is known at the start")
     truth: TruthConfig = Field(default=TruthConfig(), description="Reference to compare the result with")

@@ -73,6 +73,11 @@ class RunConfig(Section):
         "only",
         examples=[1.0],
     )
+    linearise: bool = Field(
+        default=False,
+        description="Keep the linearised system, transition and rows between measurements, for the analysis of "
+        "observability; needs n x n numbers per measurement",
+    )
     outages: Annotated[tuple[tuple[float, float], ...], BeforeValidator(_windows)] = Field(
         default=(),
         description="GNSS withheld, [[from_s, to_s], ...]; the withheld fixes become the truth of an outage "

@@ -9,13 +9,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from ..config import Config, GnssConfig, ImuConfig, TruthConfig
-from ..dataset import Dataset, GnssTable, ImuTable, Source, TruthTable
+from ..config import BaroConfig, Config, GnssConfig, HeadingConfig, ImuConfig, TruthConfig
+from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuTable, Source, TruthTable
 from ..errors import ConfigError, InputError
 from .csv import CsvFormat
-from .csv_writer import write_gnss, write_imu, write_truth
+from .csv_writer import write_baro, write_gnss, write_heading, write_imu, write_truth
 
-__all__ = ["Format", "format_of", "read_dataset", "register", "write_gnss", "write_imu", "write_truth"]
+__all__ = [
+    "Format",
+    "format_of",
+    "read_dataset",
+    "register",
+    "write_baro",
+    "write_gnss",
+    "write_heading",
+    "write_imu",
+    "write_truth",
+]
 
 
 class Format(Protocol):
@@ -34,6 +44,12 @@ class Format(Protocol):
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
         """Read fixes."""
+
+    def read_baro(self, path: Path, config: BaroConfig) -> tuple[BaroTable, Source]:
+        """Read heights of a barometric altimeter."""
+
+    def read_heading(self, path: Path, config: HeadingConfig) -> tuple[HeadingTable, Source]:
+        """Read headings of a receiver with two antennas."""
 
     def read_truth(self, path: Path, config: TruthConfig) -> tuple[TruthTable, Source]:
         """Read a reference trajectory."""
@@ -93,7 +109,8 @@ def read_dataset(config: Config) -> Dataset:
     Raises
     ------
     ConfigError
-        ``config.no_file``: no IMU file named; ``config.no_accuracy``: fixes without accuracy.
+        ``config.no_file``: no IMU file named; ``config.no_accuracy``: fixes, heights or headings without
+        accuracy.
     InputError
         Anything that cannot be read.
     """
@@ -105,14 +122,20 @@ def read_dataset(config: Config) -> Dataset:
         )
     imu, source = format_of(config.imu.file).read_imu(config.imu.file, config.imu)
     sources = {source.path: source}
-    gnss, truth = GnssTable.empty(), None
+    gnss, baro, heading, truth = GnssTable.empty(), BaroTable.empty(), HeadingTable.empty(), None
     if config.gnss.file is not None:
         gnss, source = format_of(config.gnss.file).read_gnss(config.gnss.file, config.gnss)
+        sources[source.path] = source
+    if config.baro.file is not None:
+        baro, source = format_of(config.baro.file).read_baro(config.baro.file, config.baro)
+        sources[source.path] = source
+    if config.heading.file is not None:
+        heading, source = format_of(config.heading.file).read_heading(config.heading.file, config.heading)
         sources[source.path] = source
     if config.truth.file is not None:
         truth, source = format_of(config.truth.file).read_truth(config.truth.file, config.truth)
         sources[source.path] = source
-    return Dataset(imu, gnss, truth, sources)
+    return Dataset(imu, gnss, truth, sources, baro=baro, heading=heading)
 
 
 register(CsvFormat())

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..config import GnssConfig, ImuConfig, TruthConfig, axes_matrix
-from ..dataset import GnssTable, ImuTable, Source, TruthTable
+from ..config import BaroConfig, GnssConfig, HeadingConfig, ImuConfig, TruthConfig, axes_matrix
+from ..dataset import BaroTable, GnssTable, HeadingTable, ImuTable, Source, TruthTable
 from ..errors import ConfigError, InputError
 from ..units import DEG_TO_RAD
 from .cells import numbers
@@ -101,18 +101,19 @@ class CsvFormat:
         position = config.position_columns if config.uses_position else ()
         velocity = config.velocity_columns if config.uses_velocity else ()
         accuracy = (*config.position_sd_columns, *config.velocity_sd_columns)
+        changed = config.new_constellation_column
         try:
             text = read_text(
                 path,
                 section="gnss",
                 required=(config.time_column, *position, *velocity),
-                optional=accuracy if config.sd == "file" else (),
+                optional=(*accuracy, changed) if config.sd == "file" else (changed,),
                 separator=config.separator,
                 skip_bad=config.on_bad_row == "skip",
             )
         except InputError as error:
             raise _hint_use(error, config) from None
-        values = dict.fromkeys((*position, *velocity, *accuracy))
+        values = dict.fromkeys((*position, *velocity, *accuracy, changed))
         t_ns, columns = numbers(text, config.time_column, config.time_unit, tuple(values), config.missing)
         absent = np.full((t_ns.size, 3), np.nan)
         lla = _stack(columns, position) if position else absent
@@ -128,7 +129,72 @@ class CsvFormat:
                 _accuracy(text, columns, config, "velocity", np.isfinite(v_n)),
             ]
         )
-        return GnssTable(t_ns, lla, v_n, sd * np.abs(sd)), _source(text)
+        marks = np.nan_to_num(columns[changed]) != 0.0 if changed in columns else None
+        return GnssTable(t_ns, lla, v_n, sd * np.abs(sd), marks), _source(text)
+
+    def read_baro(self, path: Path, config: BaroConfig) -> tuple[BaroTable, Source]:
+        """Read the heights of a barometric altimeter into metres above the ellipsoid.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        config : BaroConfig
+            Its columns and units, and where the accuracy comes from.
+
+        Returns
+        -------
+        table : BaroTable
+            Rows in the order of the file.
+        source : Source
+            Digest and row counts.
+
+        Raises
+        ------
+        InputError
+            As :meth:`read_imu`.
+        ConfigError
+            ``config.no_accuracy``: neither the file nor the configuration tells the accuracy of some heights.
+        """
+        text, t_ns, height, sd = _one_value(
+            path, "baro", config, config.height_column, config.height_factor, config.height_sd_m
+        )
+        return BaroTable(t_ns, height + config.geoid_height_m, sd * np.abs(sd)), _source(text)
+
+    def read_heading(self, path: Path, config: HeadingConfig) -> tuple[HeadingTable, Source]:
+        """Read the headings of a receiver with two antennas into radians.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        config : HeadingConfig
+            Its columns and units, and where the accuracy comes from.
+
+        Returns
+        -------
+        table : HeadingTable
+            Rows in the order of the file.
+        source : Source
+            Digest and row counts.
+
+        Raises
+        ------
+        InputError
+            As :meth:`read_imu`.
+        ConfigError
+            ``config.no_accuracy``: neither the file nor the configuration tells the accuracy of some headings.
+        """
+        given = config.heading_sd_deg
+        text, t_ns, heading, sd = _one_value(
+            path,
+            "heading",
+            config,
+            config.heading_column,
+            config.angle_factor,
+            None if given is None else given * DEG_TO_RAD,
+        )
+        return HeadingTable(t_ns, heading - config.offset_deg * DEG_TO_RAD, sd * np.abs(sd)), _source(text)
 
     def read_truth(self, path: Path, config: TruthConfig) -> tuple[TruthTable, Source]:
         """Read a reference trajectory in the fixed layout of :class:`gnssins.config.TruthConfig`.
@@ -166,6 +232,42 @@ class CsvFormat:
         lla = _stack(columns, _TRUTH_POSITION, t_ns.size) * [DEG_TO_RAD, DEG_TO_RAD, 1.0]
         v_n = _stack(columns, _TRUTH_VELOCITY, t_ns.size)
         return TruthTable(t_ns, lla, v_n, _attitude(columns, t_ns.size)), _source(text)
+
+
+def _one_value(
+    path: Path,
+    section: str,
+    config: BaroConfig | HeadingConfig,
+    column: str,
+    factor: float,
+    given_sd: float | None,
+) -> tuple[TextTable, NDArray[np.int64], Array, Array]:
+    """Read an aid with one value per row: its stamps, values and standard deviations in SI, shapes (m,)."""
+    text = read_text(
+        path,
+        section=section,
+        required=(config.time_column, column),
+        optional=(config.sd_column,) if config.sd == "file" else (),
+        separator=config.separator,
+        skip_bad=config.on_bad_row == "skip",
+    )
+    names = (column, config.sd_column)
+    t_ns, columns = numbers(text, config.time_column, config.time_unit, names, config.missing)
+    value = columns[column] * factor
+    sd = columns.get(config.sd_column, np.full(t_ns.size, np.nan)) * factor
+    sd = np.where(np.isnan(sd), np.nan if given_sd is None else given_sd, sd)
+    unknown = np.isnan(sd) & np.isfinite(value)
+    if unknown.any():
+        key = "height_sd_m" if section == "baro" else "heading_sd_deg"
+        what = "heights" if section == "baro" else "headings"
+        raise ConfigError(
+            "config.no_accuracy",
+            f"{path}: {int(unknown.sum())} of {unknown.size} {what} have no accuracy, first at "
+            f"{text.where(int(np.flatnonzero(unknown)[0]))}: column {config.sd_column} absent or nan",
+            f"add [{section}] {key}",
+            {"file": str(path), "key": f"{section}.{key}", "count": int(unknown.sum())},
+        )
+    return text, t_ns, value, sd
 
 
 def _stack(columns: dict[str, Array], names: tuple[str, ...], rows: int = 0) -> Array:

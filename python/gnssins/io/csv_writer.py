@@ -1,17 +1,19 @@
-"""Writers of the CSV layout that the reader takes without any column key: IMU, GNSS and reference files."""
+"""Writers of the CSV layout that the reader takes without any column key."""
 
 from __future__ import annotations
 
 import gzip
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from .. import _core
-from ..dataset import GnssTable, ImuTable, TruthTable
+from ..dataset import BaroTable, GnssTable, HeadingTable, ImuTable, TruthTable
 from ..errors import InputError
 from ..units import DEG_TO_RAD, NS_PER_S
 
@@ -42,6 +44,8 @@ def write_imu(path: str | os.PathLike[str], table: ImuTable) -> None:
 def write_gnss(path: str | os.PathLike[str], table: GnssTable) -> None:
     """Write ``time_s, lat_deg, lon_deg, height_m, vn, ve, vd, sd_n, sd_e, sd_d, sd_vn, sd_ve, sd_vd``.
 
+    A table that knows of changes of the constellation has a column ``new_constellation`` of 0 and 1 too.
+
     Parameters
     ----------
     path : path
@@ -63,9 +67,48 @@ def write_gnss(path: str | os.PathLike[str], table: GnssTable) -> None:
             {"file": str(path)},
         )
     names = ("sd_n", "sd_e", "sd_d", "sd_vn", "sd_ve", "sd_vd")
-    columns = {**_position(table.lla), **_velocity(table.v_n)}
+    columns: dict[str, NDArray[Any]] = {**_position(table.lla), **_velocity(table.v_n)}
     columns |= {name: table.sd[:, i] for i, name in enumerate(names)}
+    if table.new_constellation is not None:
+        columns["new_constellation"] = table.new_constellation.astype(np.uint8)
     _write(Path(path), table.t_ns, columns)
+
+
+def write_baro(path: str | os.PathLike[str], table: BaroTable) -> None:
+    """Write ``time_s, height_m, sd`` in metres.
+
+    Parameters
+    ----------
+    path : path
+        ``.csv``, or ``.csv.gz`` to compress.
+    table : BaroTable
+        Heights with variances.
+
+    Raises
+    ------
+    InputError
+        ``input.write``: the file cannot be written.
+    """
+    _write(Path(path), table.t_ns, {"height_m": table.height_m, "sd": _deviation(table.var)})
+
+
+def write_heading(path: str | os.PathLike[str], table: HeadingTable) -> None:
+    """Write ``time_s, heading, sd`` in degrees.
+
+    Parameters
+    ----------
+    path : path
+        ``.csv``, or ``.csv.gz`` to compress.
+    table : HeadingTable
+        Headings with variances; written in [0, 360) deg.
+
+    Raises
+    ------
+    InputError
+        ``input.write``: the file cannot be written.
+    """
+    heading = table.heading_rad / DEG_TO_RAD % 360.0
+    _write(Path(path), table.t_ns, {"heading": heading, "sd": _deviation(table.var) / DEG_TO_RAD})
 
 
 def write_truth(path: str | os.PathLike[str], table: TruthTable) -> None:
@@ -93,6 +136,11 @@ def write_truth(path: str | os.PathLike[str], table: TruthTable) -> None:
     _write(Path(path), table.t_ns, columns)
 
 
+def _deviation(var: Array) -> Array:
+    """Root of a variance; NaN where it is missing or negative."""
+    return np.sqrt(np.where(var >= 0.0, var, np.nan))
+
+
 def _position(lla: Array) -> dict[str, Array]:
     return {"lat_deg": lla[:, 0] / DEG_TO_RAD, "lon_deg": lla[:, 1] / DEG_TO_RAD, "height_m": lla[:, 2]}
 
@@ -110,7 +158,7 @@ def _seconds(t_ns: NDArray[np.int64]) -> pl.Series:
     return frame.select(time_s=pl.concat_str([sign, pl.col("whole"), pl.lit("."), rest]))["time_s"]
 
 
-def _write(path: Path, t_ns: NDArray[np.int64], columns: dict[str, Array]) -> None:
+def _write(path: Path, t_ns: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
     """Write through a temporary file: a cut never looks like a result; equal tables give equal bytes."""
     frame = pl.DataFrame([_seconds(t_ns), *(pl.Series(name, values) for name, values in columns.items())])
     text = frame.write_csv().replace("NaN", "nan").encode()

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..alignment import InitialState
-from ..dataset import Dataset, GnssTable, TruthTable
+from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, TruthTable
 from ..errors import ConfigError
 from .aiding import simulate_gnss
+from .aids import simulate_baro, simulate_heading
 from .imu import simulate_imu
 from .initial import draw_initial_state
 from .library import (
@@ -58,12 +59,12 @@ class Simulated:
     Attributes
     ----------
     dataset : Dataset
-        IMU increments, fixes and the truth.
+        IMU increments, fixes, heights of a barometer, headings and the truth, as far as the scenario has them.
     initial : InitialState
         State at the start, with drawn errors, and its standard deviations.
     initial_error : ndarray, shape (9,)
         Those errors, estimate minus truth, along north, east, down: phi (rad), velocity (m/s), position (m).
-    truth_blocks : Mapping of str to ndarray, shape (k, 3) or (k, 6)
+    truth_blocks : Mapping of str to ndarray, shape (k, states of the block)
         True sensor errors at the stamps of ``dataset.truth``, SI, by the name of their filter block and in
         the order of the scenario.
     scenario : Scenario
@@ -114,9 +115,10 @@ class Simulator:
         outages: Sequence[tuple[float, float]] | None = None,
         truth_rate_hz: float | None = None,
     ) -> None:
-        self.scenario = load_scenario(scenario)
+        source = load_scenario(scenario)
         self.variant = variant
-        self.outages = _outages(self.scenario, variant, outages)
+        self.outages = _outages(source, variant, outages)
+        self.scenario = source if variant is None else source.with_variant(variant)
         self._truth_step = 1
         if truth_rate_hz is not None:
             self._truth_step = max(1, round(self.scenario.scenario.rate_hz / truth_rate_hz))
@@ -157,10 +159,16 @@ class Simulator:
         if self.scenario.gnss is not None:
             gnss, gnss_blocks = simulate_gnss(path, self.scenario.gnss, streams, self.outages)
             blocks |= gnss_blocks
+        baro, heading = BaroTable.empty(), HeadingTable.empty()
+        if self.scenario.baro is not None:
+            baro, baro_blocks = simulate_baro(path, self.scenario.baro, streams)
+            blocks |= baro_blocks
+        if self.scenario.heading is not None:
+            heading = simulate_heading(path, self.scenario.heading, streams, self.outages)
         initial, initial_error = draw_initial_state(path, self.scenario.initial_error, streams)
         meta = {"scenario": self.scenario.name, "variant": self.variant, "seed": seed}
         return Simulated(
-            dataset=Dataset(imu, gnss, self.truth, meta=meta),
+            dataset=Dataset(imu, gnss, self.truth, meta=meta, baro=baro, heading=heading),
             initial=initial,
             initial_error=initial_error,
             truth_blocks={name: history[:: self._truth_step] for name, history in blocks.items()},
@@ -216,9 +224,11 @@ def _outages(
             {"variant": variant, "known": list(scenario.variant)},
         )
     if outages is not None:
-        return variant_from_dict(
-            {"outages": [[float(first), float(last)] for first, last in outages]}
-        ).outages
+        windows = [[float(first), float(last)] for first, last in outages]
+        return variant_from_dict({"outages": windows}).outages or ()
     if variant is not None:
-        return scenario.variant[variant].outages
+        own = scenario.variant[variant].outages
+        if own is not None:
+            return own
+        scenario = scenario.with_variant(variant)
     return scenario.gnss.outages if scenario.gnss is not None else ()

@@ -1,4 +1,4 @@
-"""The GNSS receiver: fixes of the antenna with noise, latency and outages."""
+"""The GNSS receiver: fixes of the antenna with noise, slow errors, latency and outages."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from .. import _core
 from ..dataset import GnssTable
 from ..units import NS_PER_S, ms_to_ns, seconds_to_ns
+from .aid_config import Gnss, Sampled
 from .frames import EARTH_RATE_RAD_S, c_en, displaced
-from .processes import constant, gauss_markov
-from .sensor_config import Gnss
+from .processes import constant
+from .receiver_errors import change_rows, slow_errors
 from .streams import Streams
 from .trajectory import Trajectory
 
-__all__ = ["antenna_motion", "fix_times", "simulate_gnss"]
+__all__ = ["antenna_motion", "fix_times", "in_sight", "simulate_gnss"]
 
 Array = NDArray[np.float64]
 TimeArray = NDArray[np.int64]
@@ -31,7 +32,9 @@ def simulate_gnss(
     """Make the fixes of one run, and the true errors that a filter may estimate.
 
     Noise is drawn for the fixes in outages too and thrown away, so that runs with and without outages see the
-    same fixes elsewhere. Variances are those of the white noise, without the correlated errors.
+    same fixes elsewhere. Variances are those of the white noise, without the correlated errors; the first fix
+    after a change of the satellites has its further white noise in them. If that fix falls into an outage, the
+    first one after the outage is marked in its place.
 
     Parameters
     ----------
@@ -54,38 +57,69 @@ def simulate_gnss(
         down.
     """
     t_ns = fix_times(trajectory, gnss)
-    blocks = _error_histories(trajectory, gnss, streams)
+    slow = slow_errors(trajectory, gnss, t_ns, streams)
+    blocks = _lever_error(trajectory, gnss, streams)
     lever = np.asarray(gnss.lever_ba_b_m, dtype=np.float64)
     if "gnss_lever_arm" in blocks:
         lever = lever + blocks["gnss_lever_arm"][0]
     lla, v_n = antenna_motion(trajectory, t_ns, lever)
-    count = len(t_ns)
+    count, changed = len(t_ns), change_rows(t_ns, gnss.constellation_changes)
     var = np.full((count, 6), np.nan)
     if gnss.position_sd_m is None:
         lla = np.full((count, 3), np.nan)
     else:
-        var[:, :3] = np.square(gnss.position_sd_m)
-        noise = streams("gnss.position").standard_normal((count, 3)) * np.asarray(gnss.position_sd_m)
-        lla = displaced(
-            lla, noise + _at(trajectory, blocks.get("gnss_position_error"), t_ns), trajectory.ellipsoid
-        )
+        sd = _white_sd(gnss.position_sd_m, gnss.position_jump_sd_m, changed, count)
+        var[:, :3] = np.square(sd)
+        error = streams("gnss.position").standard_normal((count, 3)) * sd
+        if "gnss_position_error" in slow:
+            error += slow["gnss_position_error"].at(t_ns)
+        lla = displaced(lla, error, trajectory.ellipsoid)
     if gnss.velocity_sd_m_s is None:
         v_n = np.full((count, 3), np.nan)
     else:
-        var[:, 3:] = np.square(gnss.velocity_sd_m_s)
-        noise = streams("gnss.velocity").standard_normal((count, 3)) * np.asarray(gnss.velocity_sd_m_s)
-        v_n = v_n + noise + _at(trajectory, blocks.get("gnss_velocity_error"), t_ns)
-    seen = np.ones(count, dtype=np.bool_)
-    for from_s, to_s in gnss.outages if outages is None else outages:
+        sd = _white_sd(gnss.velocity_sd_m_s, gnss.velocity_jump_sd_m_s, changed, count)
+        var[:, 3:] = np.square(sd)
+        v_n = v_n + streams("gnss.velocity").standard_normal((count, 3)) * sd
+        if "gnss_velocity_error" in slow:
+            v_n = v_n + slow["gnss_velocity_error"].at(t_ns)
+    blocks |= {name: error.history() for name, error in slow.items()}
+    seen = in_sight(t_ns, gnss.outages if outages is None else outages)
+    table = GnssTable(
+        (t_ns + ms_to_ns(gnss.latency_ms))[seen],
+        lla[seen],
+        v_n[seen],
+        var[seen],
+        _marks(t_ns[seen], gnss) if gnss.constellation_changes else None,
+    )
+    return table, blocks
+
+
+def in_sight(t_ns: TimeArray, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Tell the times of validity that lie outside all outages [from, to), s; shape (m,)."""
+    seen = np.ones(len(t_ns), dtype=np.bool_)
+    for from_s, to_s in outages:
         seen &= (t_ns < seconds_to_ns(from_s)) | (t_ns >= seconds_to_ns(to_s))
-    stamps = t_ns + ms_to_ns(gnss.latency_ms)
-    return GnssTable(stamps[seen], lla[seen], v_n[seen], var[seen]), blocks
+    return seen
 
 
-def fix_times(trajectory: Trajectory, gnss: Gnss) -> TimeArray:
-    """Give the times of validity of all fixes within the truth, int64 ns."""
-    first_ns = seconds_to_ns(gnss.first_s if gnss.first_s is not None else 1.0 / gnss.rate_hz)
-    period_ns = NS_PER_S / gnss.rate_hz
+def _marks(t_ns: TimeArray, gnss: Gnss) -> NDArray[np.bool_]:
+    """Tell the first of these fixes at or after each change of the satellites."""
+    marks = np.zeros(len(t_ns), dtype=np.bool_)
+    marks[change_rows(t_ns, gnss.constellation_changes)] = True
+    return marks
+
+
+def _white_sd(sd: Sequence[float], jump_sd: Sequence[float], changed: NDArray[np.intp], count: int) -> Array:
+    """Standard deviation of the white noise of each fix, shape (m, 3)."""
+    all_sd = np.tile(np.asarray(sd, dtype=np.float64), (count, 1))
+    all_sd[changed] = np.hypot(all_sd[changed], jump_sd)
+    return all_sd
+
+
+def fix_times(trajectory: Trajectory, aid: Sampled) -> TimeArray:
+    """Give the times of validity of all values of an aid within the truth, int64 ns."""
+    first_ns = seconds_to_ns(aid.first_s if aid.first_s is not None else 1.0 / aid.rate_hz)
+    period_ns = NS_PER_S / aid.rate_hz
     count = int((trajectory.t_ns[-1] - first_ns) / period_ns * (1.0 + 1e-12)) + 1
     t_ns = first_ns + np.rint(np.arange(max(count, 0)) * period_ns).astype(np.int64)
     return np.asarray(t_ns[t_ns <= trajectory.t_ns[-1]])
@@ -145,26 +179,9 @@ def _antenna_at_epochs(trajectory: Trajectory, rows: NDArray[np.intp], lever: Ar
     return position + arm, velocity + swing
 
 
-def _error_histories(trajectory: Trajectory, gnss: Gnss, streams: Streams) -> dict[str, Array]:
-    """Lever-arm and correlated errors at the epochs of the truth."""
-    samples, dt_s = len(trajectory), float(np.mean(trajectory.dt_s))
-    blocks: dict[str, Array] = {}
-    if any(gnss.lever_error_sd_m):
-        sd = np.asarray(gnss.lever_error_sd_m)
-        blocks["gnss_lever_arm"] = constant(streams("gnss.lever_arm"), samples, sd)
-    if gnss.position_error is not None:
-        sd, tau_s = np.asarray(gnss.position_error.sd_m), gnss.position_error.tau_s
-        rng = streams("gnss.position_error")
-        blocks["gnss_position_error"] = gauss_markov(rng, samples, dt_s, sd, tau_s)
-    if gnss.velocity_error is not None:
-        sd, tau_s = np.asarray(gnss.velocity_error.sd_m_s), gnss.velocity_error.tau_s
-        rng = streams("gnss.velocity_error")
-        blocks["gnss_velocity_error"] = gauss_markov(rng, samples, dt_s, sd, tau_s)
-    return blocks
-
-
-def _at(trajectory: Trajectory, history: Array | None, t_ns: TimeArray) -> Array:
-    """Interpolate a history, linear between the epochs, shape (m, 3); zero if there is none."""
-    if history is None:
-        return np.zeros((len(t_ns), 3))
-    return np.column_stack([np.interp(t_ns, trajectory.t_ns, axis) for axis in history.T])
+def _lever_error(trajectory: Trajectory, gnss: Gnss, streams: Streams) -> dict[str, Array]:
+    """Error of the lever arm at the epochs of the truth, if the scenario has one."""
+    if not any(gnss.lever_error_sd_m):
+        return {}
+    sd = np.asarray(gnss.lever_error_sd_m)
+    return {"gnss_lever_arm": constant(streams("gnss.lever_arm"), len(trajectory), sd)}

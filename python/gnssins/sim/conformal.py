@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from .. import _core
 
-__all__ = ["geodetic_latitude", "grid_convergence", "isometric_latitude"]
+__all__ = ["eccentricity", "geodetic_latitude", "grid_convergence", "isometric_latitude"]
 
 Array = NDArray[np.float64]
 
 
-def _eccentricity(ellipsoid: str) -> tuple[float, float]:
+def eccentricity(ellipsoid: str) -> tuple[float, float]:
     """Equatorial radius (m) and eccentricity, from the radii of curvature at the equator."""
     meridian, prime_vertical = _core.radii(np.zeros(1), ellipsoid)[0]
     return float(prime_vertical), float(np.sqrt(1.0 - meridian / prime_vertical))
@@ -36,14 +36,14 @@ def isometric_latitude(lat_rad: Array, ellipsoid: str) -> Array:
     ndarray, shape (n,)
         Dimensionless.
     """
-    _, e = _eccentricity(ellipsoid)
+    _, e = eccentricity(ellipsoid)
     sin = np.sin(lat_rad)
     return np.arctanh(sin) - e * np.arctanh(e * sin)
 
 
 def geodetic_latitude(q: Array, ellipsoid: str) -> Array:
     """Inverse of :func:`isometric_latitude` by fixed-point iteration, shape (n,), rad."""
-    _, e = _eccentricity(ellipsoid)
+    _, e = eccentricity(ellipsoid)
     sin = np.tanh(q)
     for _ in range(8):
         sin = np.tanh(q + e * np.arctanh(e * sin))
@@ -78,7 +78,7 @@ def grid_convergence(
     ndarray, shape (n,)
         Convergence, rad, continuous, zero at the start.
     """
-    a, e = _eccentricity(ellipsoid)
+    a, e = eccentricity(ellipsoid)
     pole_radius_m = a / np.sqrt(1.0 - e * e) + height_m
     hemisphere = 1.0 if lat_rad >= 0.0 else -1.0
     q = isometric_latitude(np.asarray([abs(lat_rad)]), ellipsoid)[0] if abs(lat_rad) < 0.5 * np.pi else np.inf

@@ -1,9 +1,9 @@
 """The inertial sensors: from the exact increments of the truth to what an imperfect IMU would put out.
 
-``measured = (I + S + M) true + b dt + n sqrt(dt) w``, with scale factors S, misalignments M, biases b and
-white noise of density n; then the range limits the mean rate of each sample, and the resolution rounds the
-accumulated angle or velocity, so that no rounding error ever builds up. Errors that vary enter with their
-mean over the interval.
+``measured = (I + S + M) true + b dt + noise``, with scale factors S, misalignments M, biases b, and noise that
+is white (``n sqrt(dt) w`` with a root density n) or white behind a first-order low-pass; then the range limits
+the mean rate of each sample, and the resolution rounds the accumulated angle or velocity, so that no rounding
+error ever builds up. Errors that vary enter with their mean over the interval.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dataset import ImuTable
-from ..units import DEG_SQRT_H_TO_RAD_SQRT_S, DEG_TO_RAD, M_S_SQRT_H_TO_M_S_SQRT_S, STANDARD_GRAVITY_M_S2
-from .processes import constant, gauss_markov, random_walk
-from .sensor_config import Imu, ImuError
+from ..units import DEG_TO_RAD, STANDARD_GRAVITY_M_S2
+from .processes import constant, gauss_markov, low_pass, random_walk
+from .sensor_config import AccelSensor, GyroSensor, Imu, ImuError
 from .streams import Streams
 from .trajectory import Trajectory
 
@@ -51,10 +51,8 @@ def simulate_imu(trajectory: Trajectory, imu: Imu, streams: Streams) -> tuple[Im
     dt = trajectory.dt_s[:, np.newaxis]
     gyro = _with_errors("gyro", trajectory.dtheta[1:], dt, imu.error, blocks)
     accel = _with_errors("accel", trajectory.dvel[1:], dt, imu.error, blocks)
-    _add_white(gyro, dt, np.asarray(imu.gyro.arw_deg_sqrt_h) * DEG_SQRT_H_TO_RAD_SQRT_S, streams("imu.gyro"))
-    _add_white(
-        accel, dt, np.asarray(imu.accel.vrw_m_s_sqrt_h) * M_S_SQRT_H_TO_M_S_SQRT_S, streams("imu.accel")
-    )
+    _add_noise(gyro, dt, imu.gyro, streams("imu.gyro"))
+    _add_noise(accel, dt, imu.accel, streams("imu.accel"))
     gyro = _limit(gyro, dt, imu.gyro.range_deg_s, DEG_TO_RAD)
     accel = _limit(accel, dt, imu.accel.range_g, STANDARD_GRAVITY_M_S2)
     gyro = _quantise(gyro, imu.gyro.increment_lsb_arcsec, _ARCSEC_TO_RAD)
@@ -111,10 +109,18 @@ def _with_errors(
     return measured
 
 
-def _add_white(measured: Array, dt: Array, density: Array, rng: np.random.Generator) -> None:
-    """Add white noise of a root density (unit per root second) to increments, in place."""
-    if np.any(density > 0.0):
+def _add_noise(
+    measured: Array, dt: Array, sensor: GyroSensor | AccelSensor, rng: np.random.Generator
+) -> None:
+    """Add the noise of a triad to its increments, in place."""
+    density = sensor.density
+    if not np.any(density > 0.0):
+        return
+    if sensor.bandwidth_hz is None:
         measured += rng.standard_normal(measured.shape) * (density * np.sqrt(dt))
+        return
+    _, integrals = low_pass(rng, len(measured), float(np.mean(dt)), density, sensor.bandwidth_hz)
+    measured += integrals
 
 
 def _limit(measured: Array, dt: Array, full_scale: float | None, factor: float) -> Array:

@@ -10,6 +10,7 @@ Angles are in radians, headings clockwise from north, path angles positive upwar
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from gnssins.units import STANDARD_GRAVITY_M_S2
 
-__all__ = ["Motion", "Profile", "Pulse", "Step", "Sway", "add_step_integral", "evaluate"]
+__all__ = ["Motion", "Profile", "Pulse", "Step", "Sway", "add_step_integral", "add_sways", "evaluate"]
 
 Array = NDArray[np.float64]
 
@@ -181,11 +182,16 @@ def evaluate(profile: Profile, t_s: Array) -> Motion:
     cos_path = np.cos(path_angle)
     roll = np.arctan2(speed * cos_path * turn_rate, STANDARD_GRAVITY_M_S2 * cos_path + speed * path_rate)
     angles = {"roll": profile.coordination * roll, "pitch": path_angle.copy(), "heading": heading.copy()}
-    for sway in profile.sways:
+    add_sways(angles, t_s, profile.sways)
+    return Motion(heading, path_angle, speed, angles["roll"], angles["pitch"], angles["heading"])
+
+
+def add_sways(angles: Mapping[str, Array], t_s: Array, sways: tuple[Sway, ...]) -> None:
+    """Add oscillations to the roll, pitch and heading (rad), in place."""
+    for sway in sways:
         envelope, _ = _sum_of_pulses(t_s, (sway.envelope,))
         phase = (2.0 * np.pi / sway.period_s) * (t_s - sway.envelope.start_s) + sway.phase_rad
         angles[sway.axis] += sway.amplitude_rad * envelope * np.sin(phase)
-    return Motion(heading, path_angle, speed, angles["roll"], angles["pitch"], angles["heading"])
 
 
 def _path_of_ground_motion(

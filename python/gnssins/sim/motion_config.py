@@ -8,7 +8,17 @@ from pydantic import Field, model_validator
 
 from ..config.base import Positive, Problem, Section, refuse
 
-__all__ = ["MotionSettings", "Slope", "Speed", "Sway", "Turn", "Waypoint"]
+__all__ = [
+    "Analytic",
+    "AngleTerms",
+    "HeightTerms",
+    "MotionSettings",
+    "Slope",
+    "Speed",
+    "Sway",
+    "Turn",
+    "Waypoint",
+]
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 """A number of 0 or greater."""
@@ -127,3 +137,34 @@ class Waypoint(Section):
         if given not in ({"lat_deg", "lon_deg"}, {"north_m", "east_m"}):
             refuse([Problem("config.conflict", "needs lat_deg and lon_deg, or north_m and east_m")])
         return self
+
+
+class AngleTerms(Section):
+    """``[analytic.lat]``, ``[analytic.lon]``: ``angle0 + K t + D sin(2 pi t / T + d)``; angle0 is in ``[start]``."""
+
+    rate_rad_s: float = Field(default=0.0, description="Linear term K, rad/s")
+    amplitude_rad: float = Field(default=0.0, ge=-1.0, le=1.0, description="Amplitude D, rad")
+    period_s: Positive = Field(default=600.0, description="Period T, s")
+    phase_rad: float = Field(default=0.0, description="Phase d, rad")
+
+
+class HeightTerms(Section):
+    """``[analytic.height]``: ``h0 + K t - D cos(2 pi t / T + d)``; h0 is ``height_m`` in ``[start]``."""
+
+    rate_m_s: float = Field(default=0.0, description="Linear term K, m/s")
+    amplitude_m: float = Field(default=0.0, description="Amplitude D, m")
+    period_s: Positive = Field(default=600.0, description="Period T, s")
+    phase_rad: float = Field(default=0.0, description="Phase d, rad")
+
+
+class Analytic(Section):
+    """``[analytic]``: latitude, longitude and height as functions of time, and what the attitude makes of them."""
+
+    lat: AngleTerms = Field(default=AngleTerms(), description="Latitude")
+    lon: AngleTerms = Field(default=AngleTerms(), description="Longitude")
+    height: HeightTerms = Field(default=HeightTerms(), description="Height above the ellipsoid")
+    bank_gain_rad_s2_m: float = Field(
+        default=0.02,
+        description="Roll per acceleration across the track, rad/(m/s^2), the factor 1/cos(pitch) aside; a "
+        "coordinated turn has 0.10",
+    )

@@ -1,10 +1,10 @@
 """The scenario of a simulated run: a strict model of a TOML file.
 
 A scenario says how the vehicle moves, what its sensors are like and how well the start is known. The motion
-is either a list of manoeuvres (``[[turn]]``, ``[[slope]]``, ``[[speed]]``, in any order, overlapping at will)
-or a list of ``[[waypoint]]``; ``[[sway]]`` adds attitude oscillations to both. Figures keep the units of data
-sheets here; the modules that use them convert. Sensor axes are forward, right, down; a single number stands
-for three equal axes.
+is a list of manoeuvres (``[[turn]]``, ``[[slope]]``, ``[[speed]]``, in any order, overlapping at will), a list
+of ``[[waypoint]]``, or an ``[analytic]`` track; ``[[sway]]`` adds attitude oscillations to all of them. Figures
+keep the units of data sheets here; the modules that use them convert. Sensor axes are forward, right, down; a
+single number stands for three equal axes.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from pydantic import Field, model_validator
 
 from .. import units
 from ..config.base import Floor3, Positive, Problem, Section, refuse
-from .motion_config import MotionSettings, Slope, Speed, Sway, Turn, Waypoint
-from .sensor_config import Gnss, Imu, Outages, outage_problems
+from .aid_config import Baro, Gnss, Heading, Outages, outage_problems
+from .motion_config import Analytic, MotionSettings, Slope, Speed, Sway, Turn, Waypoint
+from .sensor_config import Imu
 
 __all__ = ["About", "InitialError", "Scenario", "Start", "TruthModel", "Variant"]
 
@@ -54,9 +55,9 @@ class TruthModel(Section):
 class Start(Section):
     """``[start]``: where and how the motion begins; roll and pitch follow from the motion."""
 
-    lat_deg: float = Field(ge=-90.0, le=90.0, description="Latitude, deg")
-    lon_deg: float = Field(ge=-180.0, le=360.0, description="Longitude, deg")
-    height_m: float = Field(default=0.0, description="Height above the ellipsoid, m")
+    lat_deg: float = Field(ge=-90.0, le=90.0, description="Latitude, deg; of [analytic] its constant term")
+    lon_deg: float = Field(ge=-180.0, le=360.0, description="Longitude, deg; the same")
+    height_m: float = Field(default=0.0, description="Height above the ellipsoid, m; the same")
     speed_m_s: float = Field(default=0.0, ge=0.0, description="Speed, m/s")
     rest_s: float = Field(
         default=0.0, ge=0.0, description="Time at rest before the first waypoint is made for, s"
@@ -91,13 +92,21 @@ class InitialError(Section):
 
 
 class Variant(Section):
-    """``[variant.NAME]``: what a named variant changes."""
+    """``[variant.NAME]``: what a named variant changes. Each table that it gives replaces that of the scenario."""
 
-    outages: Outages = Field(default=(), description="Times [from, to) without fixes, s")
+    outages: Outages | None = Field(
+        default=None, description="Times [from, to) without fixes, s; left out: those of the scenario"
+    )
+    sway: Annotated[tuple[Sway, ...], _LAX] | None = Field(default=None, description="Attitude oscillations")
+    imu: Imu | None = Field(default=None, description="Inertial sensors")
+    gnss: Gnss | None = Field(default=None, description="Receiver")
+    baro: Baro | None = Field(default=None, description="Barometric altimeter")
+    heading: Heading | None = Field(default=None, description="Heading of two antennas")
+    initial_error: InitialError | None = Field(default=None, description="How well the start is known")
 
     @model_validator(mode="after")
     def _consistent(self) -> Variant:
-        refuse(outage_problems(self.outages))
+        refuse(outage_problems(self.outages or ()))
         return self
 
 
@@ -114,8 +123,11 @@ class Scenario(Section):
     speed: Annotated[tuple[Speed, ...], _LAX] = Field(default=(), description="Changes of speed")
     sway: Annotated[tuple[Sway, ...], _LAX] = Field(default=(), description="Attitude oscillations")
     waypoint: Annotated[tuple[Waypoint, ...], _LAX] = Field(default=(), description="Route by waypoints")
+    analytic: Analytic | None = Field(default=None, description="Coordinates as functions of time")
     imu: Imu = Field(default=Imu(), description="Inertial sensors; left out: perfect ones")
     gnss: Gnss | None = Field(default=None, description="Receiver; left out: no fixes")
+    baro: Baro | None = Field(default=None, description="Barometric altimeter; left out: none")
+    heading: Heading | None = Field(default=None, description="Heading of two antennas; left out: none")
     initial_error: InitialError = Field(description="How well the start is known")
     variant: dict[str, Variant] = Field(default_factory=dict, description="Named variants")
 
@@ -123,6 +135,27 @@ class Scenario(Section):
     def name(self) -> str:
         """Name of the scenario."""
         return self.scenario.name
+
+    def with_variant(self, name: str) -> Scenario:
+        """Return the scenario with the tables of one of its variants; outages stay where they are.
+
+        Parameters
+        ----------
+        name : str
+            One of ``variant``.
+
+        Returns
+        -------
+        Scenario
+            The same object if the variant changes no table.
+        """
+        given = self.variant[name]
+        tables = {
+            key: getattr(given, key)
+            for key in type(given).model_fields
+            if key != "outages" and getattr(given, key) is not None
+        }
+        return self.model_copy(update=tables) if tables else self
 
     @property
     def coordination(self) -> float:
@@ -134,7 +167,9 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _one_kind_of_motion(self) -> Scenario:
         problems = []
-        if self.waypoint:
+        if self.analytic is not None:
+            problems = self._analytic_problems()
+        elif self.waypoint:
             if self.turn or self.slope or self.speed:
                 text = "does not go with turn, slope and speed"
                 problems.append(Problem("config.conflict", text, "use one kind of motion", "waypoint"))
@@ -153,6 +188,27 @@ class Scenario(Section):
                 problems.append(Problem("config.missing_key", "needs duration_s", key="scenario"))
         refuse(problems)
         return self
+
+    def _analytic_problems(self) -> list[Problem]:
+        """What does not go with an analytic track, which gives speed and heading itself."""
+        given = {
+            "waypoint": self.waypoint,
+            "turn": self.turn,
+            "slope": self.slope,
+            "speed": self.speed,
+            "start.speed_m_s": self.start.speed_m_s,
+            "start.rest_s": self.start.rest_s,
+            "start.heading_deg": self.start.heading_deg is not None,
+            "motion.heading_reference": self.motion.heading_reference != "north",
+        }
+        problems = [
+            Problem("config.conflict", "does not go with analytic", "leave it out", key)
+            for key, value in given.items()
+            if value
+        ]
+        if self.scenario.duration_s is None:
+            problems.append(Problem("config.missing_key", "needs duration_s", key="scenario"))
+        return problems
 
     @model_validator(mode="after")
     def _targets_are_clear(self) -> Scenario:

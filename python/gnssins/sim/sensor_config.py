@@ -1,4 +1,4 @@
-"""Scenario tables of the sensors: what the simulated IMU and the simulated receiver do to the truth.
+"""Scenario tables of the inertial sensors: what the simulated IMU does to the truth.
 
 Keys and units are those of the run configuration wherever both mean the same thing, so that blocks can be
 copied from a scenario into a filter.
@@ -12,34 +12,62 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..config.base import Floor3, Positive, Problem, Sd3, Section, Vec3, choices, refuse
+from .. import units
+from ..config.base import Floor3, Positive, Problem, Section, choices, refuse
 from ..config.filter import BLOCK_SIZES, BLOCK_UNITS, Numbers
+from ..config.imu import DENSITY_SIDES, Convention
 
-__all__ = ["AccelSensor", "CorrelatedPosition", "CorrelatedVelocity", "Gnss", "GyroSensor", "Imu", "ImuError"]
+__all__ = ["AccelSensor", "GyroSensor", "Imu", "ImuError"]
 
 ErrorKind = Literal[
     "gyro_bias", "accel_bias", "gyro_scale", "accel_scale", "gyro_misalignment", "accel_misalignment"
 ]
 
+Array = NDArray[np.float64]
+
 _ZERO = (0.0, 0.0, 0.0)
 
-Outages = Annotated[tuple[Annotated[tuple[float, float], Field(strict=False)], ...], Field(strict=False)]
-"""Times [from, to) without fixes, seconds."""
+
+class _Noise(Section):
+    """What gyros and accelerometers have in common: what a density means, and how far the noise reaches."""
+
+    noise_density_convention: Convention = Field(
+        default="two-sided",
+        description="What noise_density means. two-sided: the root of the density whose square times the time is "
+        "the variance of the integral (ARW, VRW; IEEE Std 952); one-sided: the square times the bandwidth is the "
+        "variance of the reading, which makes the root sqrt(2) times as large",
+    )
+    bandwidth_hz: Positive | None = Field(
+        default=None,
+        description="Corner of the first-order low-pass that the noise has passed, Hz; left out: white noise",
+    )
+
+    def _one_noise(self, walk: tuple[float, ...], densities: dict[str, Floor3 | None]) -> None:
+        """Refuse the same noise given twice, and a convention that nothing goes with."""
+        given = [key for key, value in densities.items() if value is not None]
+        problems = []
+        if len(given) + any(walk) > 1:
+            text = f"the same noise given twice: {', '.join(given)}" + (
+                " and a random walk" if any(walk) else ""
+            )
+            problems.append(Problem("config.conflict", text, "keep one of them"))
+        if not given and self.noise_density_convention != "two-sided":
+            text = "speaks about a noise density, but there is none: a random walk has no sides"
+            problems.append(Problem("config.conflict", text, "drop it", "noise_density_convention"))
+        refuse(problems)
+
+    def _density(self, values: Floor3, factor: float) -> Array:
+        """Root of the two-sided density in SI, shape (3,)."""
+        return np.asarray(values) * factor / DENSITY_SIDES[self.noise_density_convention]
 
 
-def outage_problems(outages: tuple[tuple[float, float], ...]) -> list[Problem]:
-    """Refuse outages that do not run forward."""
-    return [
-        Problem("config.range", f"must satisfy 0 <= from < to, got [{first:g}, {last:g}]", key="outages")
-        for first, last in outages
-        if not 0.0 <= first < last
-    ]
-
-
-class GyroSensor(Section):
-    """``[imu.gyro]``: white noise, range and resolution of the gyros."""
+class GyroSensor(_Noise):
+    """``[imu.gyro]``: noise, range and resolution of the gyros."""
 
     arw_deg_sqrt_h: Floor3 = Field(default=_ZERO, description="Angle random walk, deg/sqrt(h)")
+    noise_density_deg_s_sqrt_hz: Floor3 | None = Field(
+        default=None, description="The same as a rate noise density, deg/s/sqrt(Hz)"
+    )
     range_deg_s: Positive | None = Field(
         default=None, description="Full scale, deg/s; beyond it the output clips"
     )
@@ -48,16 +76,50 @@ class GyroSensor(Section):
         description="Resolution of an angle increment, arcsec; the rounding error is carried over",
     )
 
+    @property
+    def density(self) -> Array:
+        """Root of the two-sided noise density, rad/sqrt(s), shape (3,)."""
+        if self.noise_density_deg_s_sqrt_hz is not None:
+            return self._density(self.noise_density_deg_s_sqrt_hz, units.DEG_TO_RAD)
+        return np.asarray(self.arw_deg_sqrt_h) * units.DEG_SQRT_H_TO_RAD_SQRT_S
 
-class AccelSensor(Section):
-    """``[imu.accel]``: white noise, range and resolution of the accelerometers."""
+    @model_validator(mode="after")
+    def _consistent(self) -> GyroSensor:
+        given = {"noise_density_deg_s_sqrt_hz": self.noise_density_deg_s_sqrt_hz}
+        self._one_noise(self.arw_deg_sqrt_h, given)
+        return self
+
+
+class AccelSensor(_Noise):
+    """``[imu.accel]``: noise, range and resolution of the accelerometers."""
 
     vrw_m_s_sqrt_h: Floor3 = Field(default=_ZERO, description="Velocity random walk, m/s/sqrt(h)")
+    noise_density_ug_sqrt_hz: Floor3 | None = Field(
+        default=None, description="The same as a noise density, ug/sqrt(Hz)"
+    )
+    noise_density_m_s2_sqrt_hz: Floor3 | None = Field(
+        default=None, description="The same as a noise density, m/s^2/sqrt(Hz)"
+    )
     range_g: Positive | None = Field(default=None, description="Full scale, g; beyond it the output clips")
     increment_lsb_mm_s: Positive | None = Field(
         default=None,
         description="Resolution of a velocity increment, mm/s; the rounding error is carried over",
     )
+
+    @property
+    def density(self) -> Array:
+        """Root of the two-sided noise density, m/s/sqrt(s), shape (3,)."""
+        if self.noise_density_ug_sqrt_hz is not None:
+            return self._density(self.noise_density_ug_sqrt_hz, units.UG_TO_M_S2)
+        if self.noise_density_m_s2_sqrt_hz is not None:
+            return self._density(self.noise_density_m_s2_sqrt_hz, 1.0)
+        return np.asarray(self.vrw_m_s_sqrt_h) * units.M_S_SQRT_H_TO_M_S_SQRT_S
+
+    @model_validator(mode="after")
+    def _consistent(self) -> AccelSensor:
+        keys = ("noise_density_ug_sqrt_hz", "noise_density_m_s2_sqrt_hz")
+        self._one_noise(self.vrw_m_s_sqrt_h, {key: getattr(self, key) for key in keys})
+        return self
 
 
 class ImuError(Section):
@@ -95,7 +157,7 @@ class ImuError(Section):
         """Name of the filter block that estimates this error."""
         return self.name or self.kind
 
-    def si(self, key: Literal["initial_sd", "value", "walk", "sd"]) -> NDArray[np.float64]:
+    def si(self, key: Literal["initial_sd", "value", "walk", "sd"]) -> Array:
         """One of the figures in SI, shape (size,); zero if it is not given."""
         value = getattr(self, key)
         numbers = np.asarray(0.0 if value is None else value, dtype=np.float64)
@@ -153,43 +215,4 @@ class Imu(Section):
         if twice:
             text = f"errors with the same name: {', '.join(twice)}"
             refuse([Problem("config.conflict", text, "give each [[imu.error]] its own name", "error")])
-        return self
-
-
-class CorrelatedPosition(Section):
-    """``[gnss.position_error]``: first-order Gauss-Markov error of the fixes along north, east, down."""
-
-    sd_m: Floor3 = Field(description="Stationary standard deviation, m")
-    tau_s: Positive = Field(description="Correlation time, s")
-
-
-class CorrelatedVelocity(Section):
-    """``[gnss.velocity_error]``: the same for the velocity of the fixes."""
-
-    sd_m_s: Floor3 = Field(description="Stationary standard deviation, m/s")
-    tau_s: Positive = Field(description="Correlation time, s")
-
-
-class Gnss(Section):
-    """``[gnss]``: the receiver. Fixes are valid at ``first_s + k / rate_hz``."""
-
-    rate_hz: Positive = Field(description="Fixes per second")
-    first_s: float | None = Field(
-        default=None, ge=0.0, description="Validity of the first fix, s; left out: one period after the start"
-    )
-    latency_ms: float = Field(default=0.0, ge=0.0, description="Stamp minus validity, ms")
-    position_sd_m: Sd3 | None = Field(default=None, description="White position noise N, E, D, m")
-    velocity_sd_m_s: Sd3 | None = Field(default=None, description="White velocity noise N, E, D, m/s")
-    position_error: CorrelatedPosition | None = Field(default=None, description="Correlated position error")
-    velocity_error: CorrelatedVelocity | None = Field(default=None, description="Correlated velocity error")
-    lever_ba_b_m: Vec3 = Field(default=_ZERO, description="Antenna from the IMU, forward, right, down, m")
-    lever_error_sd_m: Floor3 = Field(default=_ZERO, description="Doubt about the lever arm, drawn per run, m")
-    outages: Outages = Field(default=(), description="Times [from, to) without fixes, s")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Gnss:
-        problems = outage_problems(self.outages)
-        if self.position_sd_m is None and self.velocity_sd_m_s is None:
-            problems.append(Problem("config.missing_key", "needs position_sd_m, velocity_sd_m_s or both"))
-        refuse(problems)
         return self

@@ -1,6 +1,7 @@
 """Truth: from a scenario to positions, velocities, attitudes and the increments of an error-free IMU.
 
-Velocity and attitude are prescribed in closed form (:mod:`gnssins.sim.motion`) at the sampling times. The
+Velocity and attitude are prescribed in closed form (:mod:`gnssins.sim.motion`, :mod:`gnssins.sim.analytic`) at
+the sampling times. The
 compiled core then inverts its own strapdown step: it gives the increments that lead exactly from one sample
 to the next, and the positions that the step makes of these velocities. So the truth obeys the equations of
 the engine, and an error-free navigation solution closes on it to rounding, however long the run is.
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from .. import _core
 from ..errors import ConfigError
 from ..units import DEG_TO_RAD, NS_PER_S
+from . import analytic
 from .conformal import grid_convergence
-from .motion import Motion, Profile, Pulse, Step, Sway, evaluate
+from .motion import Motion, Profile, Pulse, Step, Sway, add_sways, evaluate
+from .motion_config import Analytic
 from .scenario import Scenario
 from .waypoints import plan_route
 
@@ -31,10 +34,14 @@ TimeArray = NDArray[np.int64]
 _STEEPEST_RAD = 80.0 * DEG_TO_RAD
 #: Steps of motion that a track must stay away from a pole: closer, north turns too far within one sample.
 _STEPS_FROM_POLE = 25.0
+#: Steps of acceleration that the ground speed of an analytic track must exceed: slower, its heading turns too far
+#: within one sample.
+_STEPS_FROM_REST = 25.0
 _HINTS = {
     "duration": "change duration_s or rate_hz",
     "speed": "look at the sum of the speed changes",
     "slope": "look at the sum of the slopes that overlap",
+    "heading": "add a linear term to a coordinate, so that it never stands still over the ground",
     "pole": "move the start or the heading, or raise rate_hz",
 }
 #: Most samples in one trajectory; they take 3 GB.
@@ -112,21 +119,7 @@ def plan_motion(scenario: Scenario) -> tuple[Profile, float]:
     ConfigError
         The route cannot be flown.
     """
-    sways = tuple(
-        Sway(
-            item.axis,
-            item.amplitude_deg * DEG_TO_RAD,
-            item.period_s,
-            item.phase_deg * DEG_TO_RAD,
-            Pulse(
-                item.from_s,
-                (item.to_s if item.to_s is not None else np.inf) - item.from_s,
-                item.ramp_s if item.ramp_s is not None else item.period_s,
-                1.0,
-            ),
-        )
-        for item in scenario.sway
-    )
+    sways = _sways(scenario)
     if scenario.waypoint:
         route = plan_route(scenario)
         duration = scenario.scenario.duration_s
@@ -155,6 +148,25 @@ def plan_motion(scenario: Scenario) -> tuple[Profile, float]:
         coordination=scenario.coordination,
     )
     return profile, scenario.scenario.duration_s
+
+
+def _sways(scenario: Scenario) -> tuple[Sway, ...]:
+    """Attitude oscillations of a scenario, SI."""
+    return tuple(
+        Sway(
+            item.axis,
+            item.amplitude_deg * DEG_TO_RAD,
+            item.period_s,
+            item.phase_deg * DEG_TO_RAD,
+            Pulse(
+                item.from_s,
+                (item.to_s if item.to_s is not None else np.inf) - item.from_s,
+                item.ramp_s if item.ramp_s is not None else item.period_s,
+                1.0,
+            ),
+        )
+        for item in scenario.sway
+    )
 
 
 def _or(own: float | None, common: float) -> float:
@@ -193,34 +205,86 @@ def build_trajectory(scenario: Scenario) -> Trajectory:
     NavigationError
         The NED equations do not hold there, next to a pole.
     """
-    profile, duration_s = plan_motion(scenario)
+    truth, analytic_terms = scenario.truth, scenario.analytic
+    if analytic_terms is not None:
+        assert scenario.scenario.duration_s is not None
+        t_ns = _epochs(scenario, scenario.scenario.duration_s)
+        lla_start, v_n, rpy = _analytic_motion(scenario, analytic_terms, t_ns)
+    else:
+        profile, duration_s = plan_motion(scenario)
+        t_ns = _epochs(scenario, duration_s)
+        lla_start, v_n, rpy = _planned_motion(scenario, profile, t_ns)
+    q_nb = _core.euler_to_quat(rpy)
+    lla, dtheta, dvel = _core.invert_strapdown(
+        truth.model, truth.ellipsoid, truth.gravity, truth.coning, t_ns, lla_start, v_n, q_nb
+    )
+    _check_poles(scenario, lla, np.hypot(v_n[:, 0], v_n[:, 1]) / scenario.scenario.rate_hz)
+    return Trajectory(
+        t_ns, lla, v_n, q_nb, dtheta, dvel, truth.model, truth.ellipsoid, truth.gravity, truth.coning
+    )
+
+
+def _epochs(scenario: Scenario, duration_s: float) -> TimeArray:
+    """Sampling times, ns."""
     rate_hz = scenario.scenario.rate_hz
     samples = int(np.floor(duration_s * rate_hz * (1.0 + 1e-12))) + 1
     if not 2 <= samples <= _MOST_SAMPLES:
         raise _motion_error(scenario, "duration", f"{samples} samples; allowed are 2 to {_MOST_SAMPLES}")
-    t_ns = np.rint(np.arange(samples) * (NS_PER_S / rate_hz)).astype(np.int64)
+    return np.asarray(np.rint(np.arange(samples) * (NS_PER_S / rate_hz)), dtype=np.int64)
+
+
+def _planned_motion(scenario: Scenario, profile: Profile, t_ns: TimeArray) -> tuple[Array, Array, Array]:
+    """Start, velocities and attitudes (roll, pitch, heading) of manoeuvres or waypoints."""
     motion = evaluate(profile, t_ns / NS_PER_S)
     _check_motion(scenario, motion)
-    start, truth = scenario.start, scenario.truth
+    start = scenario.start
     lat_rad = start.lat_deg * DEG_TO_RAD
     ground_speed = motion.speed_m_s * np.cos(motion.path_angle_rad)
     course, yaw = motion.heading_rad, motion.yaw_rad
     if scenario.motion.heading_reference == "grid":
         convergence = grid_convergence(
-            lat_rad, start.height_m, course, ground_speed, 1.0 / rate_hz, truth.ellipsoid
+            lat_rad,
+            start.height_m,
+            course,
+            ground_speed,
+            1.0 / scenario.scenario.rate_hz,
+            scenario.truth.ellipsoid,
         )
         course, yaw = course + convergence, yaw + convergence
     down = -motion.speed_m_s * np.sin(motion.path_angle_rad)
     v_n = np.column_stack([ground_speed * np.cos(course), ground_speed * np.sin(course), down])
-    q_nb = _core.euler_to_quat(np.column_stack([motion.roll_rad, motion.pitch_rad, yaw]))
-    lla_start = np.array([lat_rad, start.lon_deg * DEG_TO_RAD, start.height_m])
-    lla, dtheta, dvel = _core.invert_strapdown(
-        truth.model, truth.ellipsoid, truth.gravity, truth.coning, t_ns, lla_start, v_n, q_nb
+    rpy = np.column_stack([motion.roll_rad, motion.pitch_rad, yaw])
+    return np.array([lat_rad, start.lon_deg * DEG_TO_RAD, start.height_m]), v_n, rpy
+
+
+def _analytic_motion(scenario: Scenario, terms: Analytic, t_ns: TimeArray) -> tuple[Array, Array, Array]:
+    """Start, velocities and attitudes of an analytic track.
+
+    The velocities at the epochs are those of the closed form. Positions are what the strapdown step makes of
+    them, which is the trapezoidal rule: they leave the closed form by no more than ``T^2/12`` times the change
+    of acceleration since the start, a tenth of a millimetre at 50 Hz.
+    """
+    start, truth = scenario.start, scenario.truth
+    constants = (start.lat_deg * DEG_TO_RAD, start.lon_deg * DEG_TO_RAD, start.height_m)
+    motion = analytic.evaluate(
+        terms, constants, t_ns / NS_PER_S, ellipsoid=truth.ellipsoid, gravity=truth.gravity
     )
-    _check_poles(scenario, lla, ground_speed / rate_hz)
-    return Trajectory(
-        t_ns, lla, v_n, q_nb, dtheta, dvel, truth.model, truth.ellipsoid, truth.gravity, truth.coning
-    )
+    ground = motion.ground_speed_m_s
+    least = _STEPS_FROM_REST * np.hypot(*motion.v_dot_n[:, :2].T) / scenario.scenario.rate_hz
+    if np.any(ground <= least):
+        row = int(np.argmin(ground - least))
+        text = f"the ground speed falls to {ground[row]:.2g} m/s, too low for a heading along the velocity"
+        raise _motion_error(
+            scenario, "heading", f"{text}; with this rate it must exceed {least[row]:.2g} m/s"
+        )
+    roll, pitch, heading = motion.rpy.T
+    steepest = float(np.abs(pitch).max())
+    if steepest > _STEEPEST_RAD:
+        text = f"the path is as steep as {np.degrees(steepest):.1f} deg; allowed are 80 deg"
+        raise _motion_error(scenario, "slope", text)
+    angles = {"roll": roll.copy(), "pitch": pitch.copy(), "heading": np.unwrap(heading)}
+    add_sways(angles, t_ns / NS_PER_S, _sways(scenario))
+    return motion.lla[0], motion.v_n, np.column_stack([angles["roll"], angles["pitch"], angles["heading"]])
 
 
 def _check_motion(scenario: Scenario, motion: Motion) -> None:

@@ -3,7 +3,7 @@
 use gnssins::blocks::{BLOCK_MAX, Block, BlockKind, Process};
 use gnssins::discretise::{ImuNoise, Order};
 use gnssins::earth::{Ellipsoid, Gravity};
-use gnssins::ekf::{Initial, Settings};
+use gnssins::ekf::{Floor, Gate, Initial, Integrity, Settings};
 use gnssins::error::Error;
 use gnssins::frames::Lla;
 use gnssins::imu::{Calibration, Coning, ImuInput};
@@ -28,9 +28,17 @@ pub struct EngineConfig {
     pub coning: Coning,
     pub attitude_form: AttitudeForm,
     pub phi_order: u8,
+    #[serde(default)]
+    pub floor: FloorConfig,
+    #[serde(default)]
+    pub feedback_ns: i64,
     pub imu: ImuConfig,
     pub blocks: Vec<BlockConfig>,
     pub gnss: GnssConfig,
+    #[serde(default)]
+    pub baro: AidConfig,
+    #[serde(default)]
+    pub heading: AidConfig,
     pub output: OutputConfig,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<InitialConfig>,
@@ -69,6 +77,35 @@ pub struct BlockConfig {
     pub sd: Vec<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tau_s: Vec<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_m: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub jump_sd: Vec<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub floor_sd: Vec<f64>,
+}
+
+/// Lower bounds of the navigation sigmas: rad, m/s, m; north, east, down.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FloorConfig {
+    pub phi: [f64; 3],
+    pub v: [f64; 3],
+    pub p: [f64; 3],
+}
+
+/// An aid beside GNSS.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AidConfig {
+    pub latency_ns: i64,
+    pub gate_probability: Option<f64>,
+}
+
+impl Default for AidConfig {
+    fn default() -> Self {
+        Self { latency_ns: 0, gate_probability: Some(0.999) }
+    }
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -79,6 +116,12 @@ pub struct GnssConfig {
     pub gate_probability: Option<f64>,
     #[serde(default)]
     pub reacquire_after: Option<u32>,
+    #[serde(default)]
+    pub gate: Gate,
+    #[serde(default)]
+    pub trace_ratio_limit: Option<f64>,
+    #[serde(default)]
+    pub max_accel_m_s2: Option<f64>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -86,6 +129,8 @@ pub struct GnssConfig {
 pub struct OutputConfig {
     pub interval_ns: i64,
     pub covariance_interval_ns: i64,
+    #[serde(default)]
+    pub linearise: bool,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -122,7 +167,18 @@ impl EngineConfig {
             order: Order::from_number(self.phi_order).map_err(|e| own(&e))?,
             coning: self.coning,
             lever_b_m: self.gnss.lever_b_m.into(),
-            gate_probability: self.gnss.gate_probability,
+            gate_probability: [
+                self.gnss.gate_probability,
+                self.baro.gate_probability,
+                self.heading.gate_probability,
+            ],
+            integrity: Integrity {
+                gate: self.gnss.gate,
+                trace_ratio_limit: self.gnss.trace_ratio_limit,
+                max_accel_m_s2: self.gnss.max_accel_m_s2,
+            },
+            floor: Floor { phi: self.floor.phi.into(), v: self.floor.v.into(), p: self.floor.p.into() },
+            feedback_ns: self.feedback_ns,
         })
     }
 
@@ -140,7 +196,7 @@ impl EngineConfig {
             max_gap_ns: self.imu.max_gap_ns,
             on_gap: self.imu.on_gap,
             on_backwards: self.imu.on_backwards,
-            latency_ns: self.gnss.latency_ns,
+            latency_ns: [self.gnss.latency_ns, self.baro.latency_ns, self.heading.latency_ns],
             reacquire_after: self.gnss.reacquire_after,
         })
     }
@@ -247,12 +303,16 @@ impl BlockConfig {
             process,
             initial_sd: fill("initial_sd", &self.initial_sd, None)?,
             initial: fill("initial", &self.initial, Some(0.0))?,
+            distance_m: self.distance_m.unwrap_or(f64::INFINITY),
+            jump_sd: fill("jump_sd", &self.jump_sd, Some(0.0))?,
+            floor_sd: fill("floor_sd", &self.floor_sd, Some(0.0))?,
         })
     }
 
     fn of(name: &str, block: &Block) -> Self {
         let len = block.kind.len();
         let cut = |v: &[f64; BLOCK_MAX]| v[..len].to_vec();
+        let some = |v: &[f64; BLOCK_MAX]| if v.iter().any(|x| *x > 0.0) { cut(v) } else { vec![] };
         let (process, psd, sd, tau_s) = match &block.process {
             Process::Constant => ("constant", vec![], vec![], vec![]),
             Process::RandomWalk { psd } => ("random_walk", cut(psd), vec![], vec![]),
@@ -267,6 +327,9 @@ impl BlockConfig {
             psd,
             sd,
             tau_s,
+            distance_m: Some(block.distance_m).filter(|d| d.is_finite()),
+            jump_sd: some(&block.jump_sd),
+            floor_sd: some(&block.floor_sd),
         }
     }
 }
@@ -282,6 +345,8 @@ impl From<&Preset> for EngineConfig {
             coning: Coning::default(),
             attitude_form: AttitudeForm::default(),
             phi_order: 3,
+            floor: FloorConfig::default(),
+            feedback_ns: 0,
             imu: ImuConfig {
                 input: stream.input,
                 gyro_psd: p.noise.gyro_psd.into(),
@@ -303,8 +368,13 @@ impl From<&Preset> for EngineConfig {
                 latency_ns: 0,
                 gate_probability: Some(0.999),
                 reacquire_after: stream.reacquire_after,
+                gate: Gate::default(),
+                trace_ratio_limit: None,
+                max_accel_m_s2: None,
             },
-            output: OutputConfig { interval_ns: 0, covariance_interval_ns: 0 },
+            baro: AidConfig::default(),
+            heading: AidConfig::default(),
+            output: OutputConfig { interval_ns: 0, covariance_interval_ns: 0, linearise: false },
             initial: None,
         }
     }

@@ -132,7 +132,7 @@ pub fn covariance(c: &[f64]) -> [[f64; 6]; 6] {
 pub fn fix(t_ns: i64, p: &Vector3<f64>, v: &Vector3<f64>, cov: [[f64; 6]; 6]) -> GnssFix {
     let position = p.iter().any(|x| !x.is_nan()).then(|| Lla::new(p.x, p.y, p.z));
     let velocity_n = core::array::from_fn(|i| (!v[i].is_nan()).then_some(v[i]));
-    GnssFix { t_ns, position, velocity_n, covariance: cov }
+    GnssFix { t_ns, position, velocity_n, covariance: cov, new_constellation: false }
 }
 
 /// Fixes from the columns of a table; variances are (m, 6) or (m, 6, 6).
@@ -156,6 +156,42 @@ pub fn fixes(
         .zip(values.chunks_exact(width))
         .map(|((t, (p, v)), c)| fix(*t, p, v, covariance(c)))
         .collect())
+}
+
+/// Marks of the rows at which the constellation changed; none given: nowhere.
+pub fn marks(array: Option<&Bound<'_, PyAny>>, name: &str, len: usize) -> PyResult<Vec<bool>> {
+    let Some(array) = array else { return Ok(vec![false; len]) };
+    let read: PyReadonlyArrayDyn<'_, bool> = array.extract().map_err(|_| {
+        errors::input(
+            array.py(),
+            "input.dtype",
+            &format!("{name}: need an array of bool"),
+            "convert with numpy.asarray(x, dtype=bool)",
+        )
+    })?;
+    match read.shape() {
+        [n] if *n == len => Ok(read.as_array().iter().copied().collect()),
+        shape => Err(shape_error(array.py(), name, &format!("({len},)"), shape)),
+    }
+}
+
+/// Rows of an aid with one value: stamps, values, variances.
+pub fn scalar_rows(
+    rows: Option<(Bound<'_, PyAny>, Bound<'_, PyAny>, Bound<'_, PyAny>)>,
+    name: &str,
+) -> PyResult<Vec<(i64, f64, f64)>> {
+    let Some((t_ns, value, var)) = rows else { return Ok(vec![]) };
+    let t = times(&t_ns, &format!("{name} t_ns"))?;
+    let column = |array: &Bound<'_, PyAny>, what: &str| {
+        let (shape, values) = floats(array, &format!("{name} {what}"))?;
+        match shape[..] {
+            [_] => Ok(values),
+            _ => Err(shape_error(array.py(), &format!("{name} {what}"), "(m,)", &shape)),
+        }
+    };
+    let (v, s) = (column(&value, "value")?, column(&var, "var")?);
+    same_length(t_ns.py(), &format!("{name} table"), &[t.len(), v.len(), s.len()])?;
+    Ok(t.into_iter().zip(v).zip(s).map(|((t, v), s)| (t, v, s)).collect())
 }
 
 /// One covariance: 6 variances or a 6x6 matrix.

@@ -1,6 +1,9 @@
 //! Streaming: the same engine, row by row.
 
 use gnssins::error::Error;
+use gnssins::meas::Observation;
+use gnssins::meas::baro::BaroHeight;
+use gnssins::meas::heading::Heading;
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList};
@@ -36,24 +39,36 @@ impl Navigator {
         Self::done(gyro.py(), self.engine.imu(t_ns, &w, &f, &mut self.log))
     }
 
-    #[pyo3(signature = (t_ns, pos, vel, var))]
+    #[pyo3(signature = (t_ns, pos, vel, var, new_constellation=false))]
     fn gnss(
         &mut self,
         t_ns: i64,
         pos: Option<&Bound<'_, PyAny>>,
         vel: Option<&Bound<'_, PyAny>>,
         var: &Bound<'_, PyAny>,
+        new_constellation: bool,
     ) -> PyResult<()> {
         let or_absent = |v: Option<&Bound<'_, PyAny>>, name| {
             v.map_or(Ok(nalgebra::Vector3::repeat(f64::NAN)), |v| convert::vector3(v, name))
         };
-        let fix = convert::fix(
+        let mut fix = convert::fix(
             t_ns,
             &or_absent(pos, "pos")?,
             &or_absent(vel, "vel")?,
             convert::one_covariance(var)?,
         );
-        Self::done(var.py(), self.engine.gnss(&fix, &mut self.log))
+        fix.new_constellation = new_constellation;
+        Self::done(var.py(), self.engine.aid(&Observation::Gnss(fix), &mut self.log))
+    }
+
+    fn baro(&mut self, py: Python<'_>, t_ns: i64, height_m: f64, variance: f64) -> PyResult<()> {
+        let row = Observation::Baro(BaroHeight { t_ns, height_m, variance });
+        Self::done(py, self.engine.aid(&row, &mut self.log))
+    }
+
+    fn heading(&mut self, py: Python<'_>, t_ns: i64, heading_rad: f64, variance: f64) -> PyResult<()> {
+        let row = Observation::Heading(Heading { t_ns, heading_rad, variance });
+        Self::done(py, self.engine.aid(&row, &mut self.log))
     }
 
     fn finish(&mut self) {
@@ -104,7 +119,7 @@ impl Navigator {
     }
 
     fn take_measurements<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        run::records(py, &std::mem::take(&mut self.log.records), &[])
+        run::all_records(py, &std::mem::take(&mut self.log.records))
     }
 
     fn take_events<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
@@ -112,6 +127,6 @@ impl Navigator {
     }
 
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        run::count_dict(py, &self.engine.counts())
+        run::count_dict(py, self.engine.as_ref())
     }
 }

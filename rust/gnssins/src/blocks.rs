@@ -172,13 +172,28 @@ pub struct Block {
     pub initial_sd: [f64; BLOCK_MAX],
     /// Parameter value at the start, unit.
     pub initial: [f64; BLOCK_MAX],
+    /// Gauss-Markov errors of the receiver and the barometer only: correlation over the distance travelled too, so
+    /// that the rate is 1/tau + ground speed/distance; infinite for none, m.
+    pub distance_m: f64,
+    /// Standard deviation that a change of the satellite constellation adds, unit; 0 for none.
+    pub jump_sd: [f64; BLOCK_MAX],
+    /// Lower bound of the standard deviation, held after every measurement, unit; 0 for none.
+    pub floor_sd: [f64; BLOCK_MAX],
 }
 
 impl Block {
     /// A block with the same numbers on every axis that starts at zero.
     #[must_use]
     pub const fn isotropic(kind: BlockKind, process: Process, initial_sd: f64) -> Self {
-        Self { kind, process, initial_sd: [initial_sd; BLOCK_MAX], initial: [0.0; BLOCK_MAX] }
+        Self {
+            kind,
+            process,
+            initial_sd: [initial_sd; BLOCK_MAX],
+            initial: [0.0; BLOCK_MAX],
+            distance_m: f64::INFINITY,
+            jump_sd: [0.0; BLOCK_MAX],
+            floor_sd: [0.0; BLOCK_MAX],
+        }
     }
 
     /// Refuses numbers that make no filter.
@@ -196,6 +211,11 @@ impl Block {
         let positive: fn(f64) -> bool = |v| v.is_finite() && v > 0.0;
         all("block.initial_sd", &self.initial_sd, positive, POSITIVE)?;
         all("block.initial", &self.initial, f64::is_finite, "must be finite")?;
+        const NOT_NEGATIVE: &str = "must be finite and at least 0";
+        let not_negative: fn(f64) -> bool = |v| v.is_finite() && v >= 0.0;
+        all("block.jump_sd", &self.jump_sd, not_negative, NOT_NEGATIVE)?;
+        all("block.floor_sd", &self.floor_sd, not_negative, NOT_NEGATIVE)?;
+        self.check_distance()?;
         match &self.process {
             Process::Constant => Ok(()),
             Process::RandomWalk { psd } => {
@@ -206,5 +226,26 @@ impl Block {
                 all("block.tau_s", tau_s, positive, "must be finite and greater than 0")
             }
         }
+    }
+
+    /// Correlation over distance is a matter of what the receiver and the barometer see on their way.
+    fn check_distance(&self) -> Result<(), Error> {
+        let what = "block.distance_m";
+        let got = self.distance_m;
+        if got == f64::INFINITY {
+            return Ok(());
+        }
+        if !(got.is_finite() && got > 0.0) {
+            return Err(Error::Config { what, need: "must be greater than 0", got });
+        }
+        let outside = matches!(
+            self.kind,
+            BlockKind::GnssPositionError | BlockKind::GnssVelocityError | BlockKind::BaroBias
+        );
+        if !outside || !matches!(self.process, Process::GaussMarkov { .. }) {
+            let need = "goes with process = \"gauss_markov\" of receiver and barometer errors only";
+            return Err(Error::Config { what, need, got });
+        }
+        Ok(())
     }
 }

@@ -108,6 +108,18 @@ impl<'a> Reader<'a> {
         if got == need { Ok(()) } else { Err(Error::SavedState { what, need, got }) }
     }
 
+    /// The next word as a flag.
+    ///
+    /// # Errors
+    /// [`Error::SavedState`] for anything but 0 and 1.
+    pub fn flag(&mut self) -> Result<bool, Error> {
+        match self.u64()? {
+            0 => Ok(false),
+            1 => Ok(true),
+            got => Err(Error::SavedState { what: "a flag", need: 1, got }),
+        }
+    }
+
     /// Reads a signed number.
     ///
     /// # Errors

@@ -136,6 +136,20 @@ impl<const CAP: usize> Covariance<CAP> {
         out
     }
 
+    /// Adds variances to the diagonal.
+    pub(crate) fn add_diagonal(&mut self, variances: &[f64; CAP]) {
+        for (i, v) in variances.iter().enumerate().take(self.n) {
+            self.p[i][i] += v;
+        }
+    }
+
+    /// Raises variances below their lower bound to it: what is added to the diagonal keeps P positive definite.
+    pub(crate) fn raise_to(&mut self, floor: &[f64; CAP]) {
+        for (i, &v) in floor.iter().enumerate().take(self.n) {
+            self.p[i][i] = self.p[i][i].max(v);
+        }
+    }
+
     /// Multiplies a state's sigma, its correlations unchanged.
     pub(crate) fn scale_state(&mut self, i: usize, factor: f64) {
         for j in 0..self.n {

@@ -49,6 +49,7 @@ pub struct ImuNoise {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockStep<const CAP: usize> {
     dt_s: f64,
+    speed_m_s: f64,
     /// Whether any state decays.
     pub(crate) decays: bool,
     /// Diagonal of Phi over the block states; 1 before them.
@@ -58,20 +59,21 @@ pub struct BlockStep<const CAP: usize> {
 }
 
 impl<const CAP: usize> BlockStep<CAP> {
-    /// For intervals of `dt_s`.
+    /// For intervals of `dt_s` at the ground speed `speed_m_s`, which counts for errors that are correlated over
+    /// distance only.
     #[must_use]
-    pub fn new(layout: &Layout<CAP>, dt_s: f64) -> Self {
+    pub fn new(layout: &Layout<CAP>, dt_s: f64, speed_m_s: f64) -> Self {
         let (mut diagonal, mut q) = ([1.0; CAP], [0.0; CAP]);
         for (j, state) in layout.states() {
-            (diagonal[j], q[j]) = state.discrete(dt_s);
+            (diagonal[j], q[j]) = state.discrete(dt_s, speed_m_s);
         }
-        Self { dt_s, decays: diagonal.iter().any(|d| *d < 1.0), diagonal, q }
+        Self { dt_s, speed_m_s, decays: diagonal.iter().any(|d| *d < 1.0), diagonal, q }
     }
 
-    /// Makes it fit another interval length; nothing is computed while the length stays.
-    pub(crate) fn fit(&mut self, layout: &Layout<CAP>, dt_s: f64) {
-        if self.dt_s != dt_s {
-            *self = Self::new(layout, dt_s);
+    /// Makes it fit another interval length or speed; nothing is computed while both stay.
+    pub(crate) fn fit(&mut self, layout: &Layout<CAP>, dt_s: f64, speed_m_s: f64) {
+        if self.dt_s != dt_s || self.speed_m_s != speed_m_s {
+            *self = Self::new(layout, dt_s, speed_m_s);
         }
     }
 }
@@ -197,6 +199,15 @@ impl<const CAP: usize> Transition<CAP> {
             0.5 * (q + q.transpose())
         };
         Self { top, blocks: *blocks, q_phi: turned(&noise.gyro_psd), q_dv: turned(&noise.accel_psd) }
+    }
+
+    /// Carries an error estimate over the interval.
+    pub(crate) fn carry(&self, x: &mut [f64; CAP]) {
+        let top = self.top.map(|row| row.iter().zip(&*x).map(|(a, x)| a * x).sum::<f64>());
+        for (x, d) in x.iter_mut().zip(&self.blocks.diagonal) {
+            *x *= d;
+        }
+        x[..NAV].copy_from_slice(&top);
     }
 
     /// Adds half of the process noise to a covariance.

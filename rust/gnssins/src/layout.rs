@@ -32,10 +32,14 @@ pub(crate) struct BlockState {
     pub coupling: Coupling,
     /// -1/tau, or 0: 1/s.
     pub decay: f64,
+    /// -1/distance, or 0: 1/m.
+    pub decay_per_m: f64,
     /// Density of a random walk, unit²/s, or 0.
     pub psd: f64,
     /// Stationary variance of a Gauss-Markov process, unit², or 0.
     pub variance: f64,
+    /// Variance that a change of constellation adds, unit².
+    pub jump: f64,
 }
 
 /// Where each block sits. States 0 to 8 are the navigation errors, blocks follow in the order given.
@@ -121,6 +125,20 @@ impl<const CAP: usize> Layout<CAP> {
         self.states.iter().enumerate().filter_map(|(i, s)| s.as_ref().map(|s| (i, s)))
     }
 
+    /// Whether the correlation of any state depends on the ground speed.
+    pub(crate) fn is_spatial(&self) -> bool {
+        self.states().any(|(_, s)| s.decay_per_m != 0.0)
+    }
+
+    /// Variances that a change of constellation adds, or `None` when it adds nothing.
+    pub(crate) fn jump(&self) -> Option<[f64; CAP]> {
+        let mut jump = [0.0; CAP];
+        for (i, s) in self.states() {
+            jump[i] = s.jump;
+        }
+        jump.iter().any(|v| *v > 0.0).then_some(jump)
+    }
+
     /// Sum of the parameters of all lever-arm blocks, m.
     pub(crate) fn lever_arm(&self, x: &[f64; CAP]) -> Vector3<f64> {
         let mut sum = Vector3::zeros();
@@ -160,6 +178,7 @@ impl<const CAP: usize> Layout<CAP> {
             let process = match b.process {
                 Process::Constant => 0,
                 Process::RandomWalk { .. } => 1,
+                Process::GaussMarkov { .. } if b.distance_m.is_finite() => 3,
                 Process::GaussMarkov { .. } => 2,
             };
             [b.kind as u64, process, i as u64].iter().fold(hash, |h, v| (h ^ v).wrapping_mul(PRIME))
@@ -182,16 +201,18 @@ impl BlockState {
             Process::RandomWalk { psd } => (0.0, at(psd), 0.0),
             Process::GaussMarkov { sd, tau_s } => (-1.0 / at(tau_s), 0.0, at(sd) * at(sd)),
         };
-        Self { coupling: block.kind.coupling(i), decay, psd, variance }
+        let decay_per_m = if block.distance_m.is_finite() { -1.0 / block.distance_m } else { 0.0 };
+        let jump = at(&block.jump_sd) * at(&block.jump_sd);
+        Self { coupling: block.kind.coupling(i), decay, decay_per_m, psd, variance, jump }
     }
 
-    /// Transition over `dt_s` and the noise variance Q that makes d²(P + Q/2) + Q/2 exact: for Gauss-Markov
+    /// Transition over `dt_s` at the ground speed `speed_m_s` and the noise variance Q that makes d²(P + Q/2) + Q/2 exact: for Gauss-Markov
     /// Q = 2 sd² (1 - d²)/(1 + d²), d = exp(-dt/tau), so that P = sd² stays.
-    pub(crate) fn discrete(&self, dt_s: f64) -> (f64, f64) {
+    pub(crate) fn discrete(&self, dt_s: f64, speed_m_s: f64) -> (f64, f64) {
         if self.decay == 0.0 {
             return (1.0, self.psd * dt_s);
         }
-        let d = math::exp(self.decay * dt_s);
+        let d = math::exp((self.decay + self.decay_per_m * speed_m_s) * dt_s);
         (d, 2.0 * self.variance * (1.0 - d * d) / (1.0 + d * d))
     }
 }

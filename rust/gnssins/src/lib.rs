@@ -15,15 +15,12 @@
 //! `std` nor a heap (`default-features = false`).
 //!
 //! ```
-//! use gnssins::{ekf::{Ekf, Initial, Settings}, imu::Coning, discretise::{ImuNoise, Order}, nav, presets};
+//! use gnssins::{ekf::{Ekf, Initial, Settings}, nav, presets};
 //! use nalgebra::{UnitQuaternion, Vector3};
 //!
 //! let preset = presets::find("ned-15").unwrap();
 //! let blocks: Vec<_> = preset.blocks.iter().map(|(_, b)| *b).collect();
-//! let settings = Settings {
-//!     earth: nav::EarthModel::default(), noise: preset.noise, order: Order::Third,
-//!     coning: Coning::TwoSample, lever_b_m: Vector3::zeros(), gate_probability: Some(0.999),
-//! };
+//! let settings = Settings::new(preset.noise);
 //! let start = Initial {
 //!     t_ns: 0,
 //!     solution: nav::Solution {

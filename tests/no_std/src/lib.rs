@@ -8,11 +8,10 @@ use core::panic::PanicInfo;
 
 use gnssins::attitude;
 use gnssins::blocks::{Block, BlockKind, Process};
-use gnssins::discretise::{ImuNoise, Order};
+use gnssins::discretise::ImuNoise;
 use gnssins::ekf::{Ekf, Initial, Settings};
 use gnssins::error::Error;
 use gnssins::frames::Lla;
-use gnssins::imu::Coning;
 use gnssins::meas::gnss::GnssFix;
 use gnssins::nav::{EarthModel, NavModel, Solution, ecef::Ecef, ned::Ned};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -58,14 +57,8 @@ fn parked<M: NavModel>(seconds: u32) -> Result<f64, Error> {
         height_m: truth.height_m,
     };
     let solution = Solution { position: start, v_n: Vector3::zeros(), q_nb: UnitQuaternion::identity() };
-    let settings = Settings {
-        earth,
-        noise: ImuNoise { gyro_psd: Vector3::repeat(1e-10), accel_psd: Vector3::repeat(1e-7) },
-        order: Order::Third,
-        coning: Coning::TwoSample,
-        lever_b_m: Vector3::zeros(),
-        gate_probability: Some(0.999),
-    };
+    let noise = ImuNoise { gyro_psd: Vector3::repeat(1e-10), accel_psd: Vector3::repeat(1e-7) };
+    let settings = Settings { earth, ..Settings::new(noise) };
     let blocks = [
         Block::isotropic(BlockKind::GyroBias, Process::RandomWalk { psd: [1e-14; 6] }, 1e-5),
         Block::isotropic(
@@ -97,7 +90,7 @@ fn parked<M: NavModel>(seconds: u32) -> Result<f64, Error> {
             t_ns += STEP_NS;
             ekf.predict(t_ns, &dtheta, &dvel)?;
         }
-        let fix = GnssFix { t_ns, position: Some(truth), velocity_n: [Some(0.0); 3], covariance };
+        let fix = GnssFix { t_ns, position: Some(truth), velocity_n: [Some(0.0); 3], covariance, new_constellation: false };
         ekf.update(u64::from(second), &fix)?;
     }
     let p = ekf.solution().position;

@@ -19,6 +19,8 @@ pub struct GnssFix {
     pub velocity_n: [Option<f64>; 3],
     /// Covariance of the six components, m², m²/s and m²/s²; rows of absent components are ignored.
     pub covariance: Square,
+    /// Whether the receiver works with other satellites than in the row before.
+    pub new_constellation: bool,
 }
 
 impl GnssFix {
@@ -73,6 +75,10 @@ fn check_covariance(full: &Square, component: &[usize; ROWS_MAX], len: usize) ->
 impl Measurement for GnssFix {
     fn t_ns(&self) -> i64 {
         self.t_ns
+    }
+
+    fn new_constellation(&self) -> bool {
+        self.new_constellation
     }
 
     fn rows<M: NavModel, const CAP: usize>(&self, view: &View<M, CAP>) -> Result<Rows<CAP>, BadReason> {

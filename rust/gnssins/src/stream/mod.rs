@@ -1,15 +1,25 @@
 //! From rows in time order to a filter: merging, splitting of IMU intervals at fixes, gaps, bad rows, counts.
 
+mod events;
+mod intervals;
+mod save;
+mod settings;
+
+pub use events::{Counts, Event, EventKind, Sink};
+pub use settings::{OnBackwards, OnGap, StreamSettings};
+
 use nalgebra::Vector3;
 
-use crate::bytes::{Reader, Writer};
 use crate::discretise::ImuNoise;
 use crate::ekf::Ekf;
 use crate::error::Error;
-use crate::imu::{Calibration, ImuInput, Rates};
+use crate::imu::{ImuInput, Rates};
+use crate::meas::baro::BaroHeight;
 use crate::meas::gnss::GnssFix;
-use crate::meas::{BadReason, Measurement, Record, Status};
+use crate::meas::heading::Heading;
+use crate::meas::{BadReason, Measurement, Observation, Record, SOURCES, Source, Status};
 use crate::nav::NavModel;
+use intervals::Intervals;
 
 /// Fixes that may wait for the next IMU sample, unless the type says otherwise.
 pub const PENDING_MAX: usize = 32;
@@ -25,180 +35,6 @@ const GAP_ACCEL_MOST: f64 = 5.0;
 const GAP_FACTOR_MEAN: f64 = 1.8;
 /// The same for sampled rates, where a missing row only coarsens the trapezoid.
 const GAP_FACTOR_RATES: f64 = 3.5;
-
-/// What to do at an IMU gap longer than the limit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
-pub enum OnGap {
-    /// Return [`Error::Gap`].
-    #[default]
-    Stop,
-    /// Go on with the mean rate of both ends and noise raised by their difference.
-    Bridge,
-}
-
-/// What to do with an IMU row that lies before its predecessor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
-pub enum OnBackwards {
-    /// Return [`Error::TimeBackwards`].
-    #[default]
-    Stop,
-    /// Count the row as bad and go on.
-    Drop,
-}
-
-/// How rows are read.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StreamSettings {
-    /// What IMU rows hold.
-    pub input: ImuInput,
-    /// Gyro calibration, applied first.
-    pub gyro: Calibration,
-    /// Accelerometer calibration, applied first.
-    pub accel: Calibration,
-    /// Range of the gyros, rad/s: an event where a rate reaches it.
-    pub gyro_range: Option<f64>,
-    /// Range of the accelerometers, m/s².
-    pub accel_range: Option<f64>,
-    /// Longest interval between IMU rows that is bridged without asking, ns.
-    pub max_gap_ns: i64,
-    /// What to do beyond it.
-    pub on_gap: OnGap,
-    /// What to do with time that goes back.
-    pub on_backwards: OnBackwards,
-    /// GNSS stamp minus time of validity, ns.
-    pub latency_ns: i64,
-    /// Rejected fixes in a row after which the filter declares its covariance wrong and re-acquires; `None`: never.
-    pub reacquire_after: Option<u32>,
-}
-
-impl Default for StreamSettings {
-    fn default() -> Self {
-        Self {
-            input: ImuInput::default(),
-            gyro: Calibration::default(),
-            accel: Calibration::default(),
-            gyro_range: None,
-            accel_range: None,
-            max_gap_ns: 1_000_000_000,
-            on_gap: OnGap::default(),
-            on_backwards: OnBackwards::default(),
-            latency_ns: 0,
-            reacquire_after: Some(10),
-        }
-    }
-}
-
-/// Rows by what became of them: total = used + rejected + late + bad + those that still wait.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counts {
-    /// Rows fed.
-    pub total: u64,
-    /// Rows used.
-    pub used: u64,
-    /// Rows refused by a gate.
-    pub rejected: u64,
-    /// Rows before the filter's time.
-    pub late: u64,
-    /// Rows that cannot be used.
-    pub bad: u64,
-}
-
-/// Something worth telling the user.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Event {
-    /// Time, ns.
-    pub t_ns: i64,
-    /// Row of its table, from 0.
-    pub row: u64,
-    /// What happened.
-    pub kind: EventKind,
-    /// A number that belongs to it: seconds of a gap, a rate.
-    pub value: f64,
-}
-
-/// Kinds of [`Event`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum EventKind {
-    /// An IMU row holds a NaN or infinity; dropped.
-    ImuNotFinite,
-    /// An IMU row repeats the one before; dropped.
-    ImuDuplicate,
-    /// An IMU row has the time of the one before but other values; dropped.
-    ImuConflict,
-    /// An IMU row lies before the one before; dropped.
-    ImuBackwards,
-    /// Rows are missing within the allowed gap; bridged with raised noise.
-    ImuGap,
-    /// A gap beyond the limit; bridged with raised noise as configured.
-    ImuGapLong,
-    /// A sensor reached its range.
-    ImuSaturated,
-    /// A GNSS row was refused by the gate.
-    GnssRejected,
-    /// A GNSS row was valid before the filter's time.
-    GnssLate,
-    /// A GNSS row cannot be used.
-    GnssBad,
-    /// A GNSS row lies after the last IMU row.
-    GnssAfterEnd,
-    /// So many fixes in a row were refused that the covariance was raised to fit them.
-    FilterReset,
-}
-
-impl EventKind {
-    /// Stable code.
-    #[must_use]
-    pub const fn code(self) -> &'static str {
-        match self {
-            Self::ImuNotFinite => "imu.not_finite",
-            Self::ImuDuplicate => "imu.duplicate",
-            Self::ImuConflict => "imu.conflict",
-            Self::ImuBackwards => "imu.backwards",
-            Self::ImuGap => "imu.gap",
-            Self::ImuGapLong => "imu.gap_long",
-            Self::ImuSaturated => "imu.saturated",
-            Self::GnssRejected => "gnss.rejected",
-            Self::GnssLate => "gnss.late",
-            Self::GnssBad => "gnss.bad",
-            Self::GnssAfterEnd => "gnss.after_end",
-            Self::FilterReset => "filter.reset",
-        }
-    }
-
-    /// What happened, in words; `value` has the unit named here.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::ImuNotFinite => "IMU row with NaN or infinity dropped",
-            Self::ImuDuplicate => "IMU row repeats the one before: dropped",
-            Self::ImuConflict => "IMU row with the time of the one before and other values: dropped",
-            Self::ImuBackwards => "IMU row earlier than the one before (s): dropped",
-            Self::ImuGap => "IMU gap (s) bridged with raised noise",
-            Self::ImuGapLong => "IMU gap (s) beyond the limit bridged with raised noise",
-            Self::ImuSaturated => "IMU value at its range (rad/s or m/s^2)",
-            Self::GnssRejected => "GNSS row refused by the chi-square gate (NIS)",
-            Self::GnssLate => "GNSS row valid before the filter's time (s)",
-            Self::GnssBad => "GNSS row not usable",
-            Self::GnssAfterEnd => "GNSS row after the last IMU row (s)",
-            Self::FilterReset => "fixes refused too often: covariance raised by this factor, fix tried again",
-        }
-    }
-}
-
-/// Where events and records go. All methods may be left out; `()` drops everything.
-pub trait Sink {
-    /// Takes an event.
-    fn event(&mut self, _event: &Event) {}
-    /// Takes the record of a measurement, one per row fed.
-    fn record(&mut self, _record: &Record) {}
-}
-
-impl Sink for () {}
 
 #[derive(Debug, Clone, Copy)]
 struct Last {
@@ -217,11 +53,11 @@ pub struct Navigator<M, const CAP: usize, const PENDING: usize = PENDING_MAX> {
     intervals: Intervals,
     saturated: bool,
     refused: Refused,
-    pending: [Option<(u64, GnssFix)>; PENDING],
-    /// Fixes that wait: the first so many places of `pending`.
+    pending: [Option<(u64, Observation)>; PENDING],
+    /// Measurements that wait: the first so many places of `pending`.
     waiting: usize,
     imu: Counts,
-    gnss: Counts,
+    aids: [Counts; SOURCES],
 }
 
 /// Fixes refused in a row.
@@ -230,37 +66,6 @@ struct Refused {
     count: u32,
     /// Sum of NIS over degrees of freedom.
     ratio: f64,
-}
-
-/// Intervals that the usual one is taken from.
-const INTERVALS: usize = 8;
-
-/// The latest IMU intervals. Their median is the usual one: a single gap or jittered stamp does not move it, a lasting
-/// change of rate does after a few rows. Stamps that come early and late in turn are told from missing rows by what the
-/// early ones owe.
-#[derive(Debug, Clone, Copy)]
-struct Intervals {
-    recent: [i64; INTERVALS],
-    next: usize,
-    /// Time by which stamps came early and which a long interval may make up for, ns.
-    owed_ns: i64,
-}
-
-impl Intervals {
-    fn push(&mut self, dt_ns: i64) {
-        if let Some(usual) = self.usual_ns() {
-            self.owed_ns = self.owed_ns.saturating_add(usual.saturating_sub(dt_ns)).clamp(0, usual);
-        }
-        self.recent[self.next % INTERVALS] = dt_ns;
-        self.next = (self.next + 1) % INTERVALS;
-    }
-
-    /// Median, ns, or `None` until the window is full.
-    fn usual_ns(&self) -> Option<i64> {
-        let mut sorted = self.recent;
-        sorted.sort_unstable();
-        (sorted[0] > 0).then(|| sorted[INTERVALS / 2 - 1] / 2 + sorted[INTERVALS / 2] / 2)
-    }
 }
 
 /// One IMU interval on its way to the filter.
@@ -293,13 +98,13 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
             ekf,
             settings,
             last: None,
-            intervals: Intervals { recent: [0; INTERVALS], next: 0, owed_ns: 0 },
+            intervals: Intervals::NONE,
             saturated: false,
             refused: Refused { count: 0, ratio: 0.0 },
             pending: [None; PENDING],
             waiting: 0,
             imu: NONE,
-            gnss: NONE,
+            aids: [NONE; SOURCES],
         }
     }
 
@@ -318,13 +123,19 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     /// GNSS rows by what became of them; those that wait for the next IMU row are only in the total.
     #[must_use]
     pub const fn gnss_counts(&self) -> Counts {
-        self.gnss
+        self.counts(Source::Gnss)
     }
 
-    /// Time of validity of a GNSS row stamped `t_ns`.
+    /// Rows of a source by what became of them; those that wait for the next IMU row are only in the total.
     #[must_use]
-    pub const fn valid_ns(&self, t_ns: i64) -> i64 {
-        t_ns.saturating_sub(self.settings.latency_ns)
+    pub const fn counts(&self, source: Source) -> Counts {
+        self.aids[source.index()]
+    }
+
+    /// Time of validity of a row of a source stamped `t_ns`.
+    #[must_use]
+    pub const fn valid_ns(&self, source: Source, t_ns: i64) -> i64 {
+        t_ns.saturating_sub(self.settings.latency_ns[source.index()])
     }
 
     /// Takes an IMU row: rates (rad/s, m/s²) or increments (rad, m/s), body axes. Fixes that wait for a time up to this
@@ -408,32 +219,58 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     /// Takes a GNSS row; `fix.t_ns` is its stamp, the configured latency is taken off here.
     ///
     /// # Errors
-    /// [`Error::QueueFull`] when too many fixes wait for an IMU row (this one is then neither taken nor counted),
-    /// and what the filter refuses.
+    /// As [`Navigator::aid`].
     pub fn gnss(&mut self, fix: &GnssFix, sink: &mut impl Sink) -> Result<(), Error> {
-        let row = self.gnss.total;
-        let fix = GnssFix { t_ns: self.valid_ns(fix.t_ns), ..*fix };
-        if fix.t_ns <= self.ekf.t_ns() {
-            self.gnss.total += 1;
-            return self.fuse(row, &fix, sink);
+        self.aid(&Observation::Gnss(*fix), sink)
+    }
+
+    /// Takes a row of the barometer; as [`Navigator::aid`].
+    ///
+    /// # Errors
+    /// As [`Navigator::aid`].
+    pub fn baro(&mut self, height: &BaroHeight, sink: &mut impl Sink) -> Result<(), Error> {
+        self.aid(&Observation::Baro(*height), sink)
+    }
+
+    /// Takes a heading; as [`Navigator::aid`].
+    ///
+    /// # Errors
+    /// As [`Navigator::aid`].
+    pub fn heading(&mut self, heading: &Heading, sink: &mut impl Sink) -> Result<(), Error> {
+        self.aid(&Observation::Heading(*heading), sink)
+    }
+
+    /// Takes a row of any aid; its time is its stamp, the configured latency of its source is taken off here.
+    ///
+    /// # Errors
+    /// [`Error::QueueFull`] when too many rows wait for an IMU row (this one is then neither taken nor counted),
+    /// and what the filter refuses.
+    pub fn aid(&mut self, aid: &Observation, sink: &mut impl Sink) -> Result<(), Error> {
+        let source = aid.source();
+        let row = self.aids[source.index()].total;
+        let aid = aid.at(self.valid_ns(source, aid.t_ns()));
+        if aid.t_ns() <= self.ekf.t_ns() {
+            self.aids[source.index()].total += 1;
+            return self.fuse(row, &aid, sink);
         }
         let slot = self
             .pending
             .get_mut(self.waiting)
             .ok_or(Error::QueueFull { pending: PENDING, t_ns: self.ekf.t_ns() })?;
-        *slot = Some((row, fix));
+        *slot = Some((row, aid));
         self.waiting += 1;
-        self.gnss.total += 1;
+        self.aids[source.index()].total += 1;
         Ok(())
     }
 
-    /// Ends a log: fixes that wait for an IMU row that will not come are counted as late.
+    /// Ends a log: rows that wait for an IMU row that will not come are counted as late.
     pub fn finish(&mut self, sink: &mut impl Sink) {
-        while let Some((row, fix)) = self.take_pending(i64::MAX) {
-            self.gnss.late += 1;
-            let value = seconds(fix.t_ns, self.ekf.t_ns());
-            sink.event(&Event { t_ns: fix.t_ns, row, kind: EventKind::GnssAfterEnd, value });
-            sink.record(&Record::unevaluated(row, fix.t_ns, Status::Late));
+        while let Some((row, aid)) = self.take_pending(i64::MAX) {
+            let (source, t_ns) = (aid.source(), aid.t_ns());
+            self.aids[source.index()].late += 1;
+            let value = seconds(t_ns, self.ekf.t_ns());
+            sink.event(&Event { t_ns, row, kind: EventKind::AidAfterEnd(source), value });
+            sink.record(&Record::unevaluated(source, row, t_ns, Status::Late));
         }
     }
 
@@ -564,30 +401,31 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     /// Propagates through an interval, stopping at every fix that is valid in it.
     fn run(&mut self, interval: &Interval, sink: &mut impl Sink) -> Result<(), Error> {
         while let Some(fix_ns) = self.next_pending_ns().filter(|t| *t <= interval.to_ns) {
-            self.propagate(interval, fix_ns)?;
-            if let Some((row, fix)) = self.take_pending(fix_ns) {
-                self.fuse(row, &fix, sink)?;
+            self.propagate(interval, fix_ns, sink)?;
+            if let Some((row, aid)) = self.take_pending(fix_ns) {
+                self.fuse(row, &aid, sink)?;
             }
         }
-        self.propagate(interval, interval.to_ns)
+        self.propagate(interval, interval.to_ns, sink)
     }
 
-    fn propagate(&mut self, interval: &Interval, target_ns: i64) -> Result<(), Error> {
+    fn propagate(&mut self, interval: &Interval, target_ns: i64, sink: &mut impl Sink) -> Result<(), Error> {
         while self.ekf.t_ns() < target_ns {
             let next_ns = self.ekf.t_ns().saturating_add(interval.step_ns).min(target_ns);
-            self.step(interval, next_ns)?;
+            self.step(interval, next_ns, sink)?;
         }
         Ok(())
     }
 
-    fn step(&mut self, interval: &Interval, target_ns: i64) -> Result<(), Error> {
+    fn step(&mut self, interval: &Interval, target_ns: i64, sink: &mut impl Sink) -> Result<(), Error> {
+        let seen = &mut |transition: &_| sink.transition(transition);
         let now = self.ekf.t_ns();
         let length = seconds(interval.to_ns, interval.from_ns);
         let at = |t_ns: i64| interval.start.towards(&interval.end, seconds(t_ns, interval.from_ns) / length);
         let whole = now == interval.from_ns && target_ns == interval.to_ns;
         if self.settings.input == ImuInput::Rates {
             let (a, b) = if whole { (interval.start, interval.end) } else { (at(now), at(target_ns)) };
-            return self.ekf.predict_rates_with(target_ns, &a, &b, &interval.extra);
+            return self.ekf.predict_rates_with(target_ns, &a, &b, &interval.extra, seen);
         }
         let (dtheta, dvel) = match interval.increments.filter(|_| whole) {
             Some(increments) => increments,
@@ -596,46 +434,57 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
                 (interval.end.gyro * dt_s, interval.end.accel * dt_s)
             }
         };
-        self.ekf.predict_with(target_ns, &dtheta, &dvel, &interval.extra)
+        self.ekf.predict_with(target_ns, &dtheta, &dvel, &interval.extra, seen)
     }
 
-    fn fuse(&mut self, row: u64, fix: &GnssFix, sink: &mut impl Sink) -> Result<(), Error> {
-        let record = match self.update(row, fix, sink) {
+    fn fuse(&mut self, row: u64, aid: &Observation, sink: &mut impl Sink) -> Result<(), Error> {
+        let (source, t_ns) = (aid.source(), aid.t_ns());
+        let counts = source.index();
+        let record = match self.update(row, aid, sink) {
             Ok(record) => record,
             Err(error) => {
-                self.gnss.bad += 1;
-                sink.record(&Record::unevaluated(row, fix.t_ns, Status::Bad(BadReason::Fatal)));
+                self.aids[counts].bad += 1;
+                sink.record(&Record::unevaluated(source, row, t_ns, Status::Bad(BadReason::Fatal)));
                 return Err(error);
             }
         };
+        let counts = &mut self.aids[counts];
         let (counter, event) = match record.status {
-            Status::Used => (&mut self.gnss.used, None),
-            Status::Rejected => (&mut self.gnss.rejected, Some((EventKind::GnssRejected, record.nis))),
-            Status::Late => {
-                (&mut self.gnss.late, Some((EventKind::GnssLate, seconds(fix.t_ns(), self.ekf.t_ns()))))
+            Status::Used if record.refused != 0 => {
+                (&mut counts.used, Some((EventKind::AidPartRejected(source), record.nis)))
             }
-            Status::Bad(_) => (&mut self.gnss.bad, Some((EventKind::GnssBad, 0.0))),
+            Status::Used => (&mut counts.used, None),
+            Status::Rejected => (&mut counts.rejected, Some((EventKind::AidRejected(source), record.nis))),
+            Status::Late => {
+                let late_s = seconds(t_ns, self.ekf.t_ns());
+                (&mut counts.late, Some((EventKind::AidLate(source), late_s)))
+            }
+            Status::Bad(_) => (&mut counts.bad, Some((EventKind::AidBad(source), 0.0))),
         };
         *counter += 1;
         if let Some((kind, value)) = event {
-            sink.event(&Event { t_ns: fix.t_ns, row, kind, value });
+            sink.event(&Event { t_ns, row, kind, value });
         }
         sink.record(&record);
         Ok(())
     }
 
-    /// Fuses a fix, after a declared reset where too many were refused.
-    fn update(&mut self, row: u64, fix: &GnssFix, sink: &mut impl Sink) -> Result<Record, Error> {
-        let record = self.ekf.update(row, fix)?;
+    /// Fuses a measurement; a fix after a declared reset where too many were refused.
+    fn update(&mut self, row: u64, aid: &Observation, sink: &mut impl Sink) -> Result<Record, Error> {
+        let t_ns = aid.t_ns();
+        let record = self.ekf.update_with(row, aid, &mut |model, rows| sink.linearised(t_ns, model, rows))?;
         let Some(factor) = self.reset_factor(&record) else { return Ok(record) };
         self.ekf.raise_covariance(factor);
-        sink.event(&Event { t_ns: fix.t_ns, row, kind: EventKind::FilterReset, value: factor });
-        self.ekf.update(row, fix)
+        sink.event(&Event { t_ns, row, kind: EventKind::FilterReset, value: factor });
+        self.ekf.update(row, aid)
     }
 
     /// Follows the fixes refused in a row; when there are too many, the mean of their NIS per degree of freedom is the
     /// factor by which the covariance was too small.
     fn reset_factor(&mut self, record: &Record) -> Option<f64> {
+        if record.source != Source::Gnss {
+            return None;
+        }
         match record.status {
             Status::Used => self.refused = Refused { count: 0, ratio: 0.0 },
             Status::Rejected => {
@@ -653,131 +502,24 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     }
 
     fn next_pending_ns(&self) -> Option<i64> {
-        self.pending.iter().take(self.waiting).flatten().map(|(_, fix)| fix.t_ns).min()
+        self.pending.iter().take(self.waiting).flatten().map(|(_, aid)| aid.t_ns()).min()
     }
 
-    /// The earliest waiting fix valid up to a time; rows fed earlier come first where times are equal.
-    fn take_pending(&mut self, until_ns: i64) -> Option<(u64, GnssFix)> {
+    /// The earliest waiting measurement valid up to a time; where times are equal GNSS comes first, then rows fed earlier.
+    fn take_pending(&mut self, until_ns: i64) -> Option<(u64, Observation)> {
         let places = self.pending.iter().take(self.waiting).enumerate();
-        let (_, _, place) = places
-            .filter_map(|(place, s)| s.map(|(row, f)| (f.t_ns, row, place)))
+        let (.., place) = places
+            .filter_map(|(place, s)| s.map(|(row, a)| (a.t_ns(), a.source().index(), row, place)))
             .filter(|(t_ns, ..)| *t_ns <= until_ns)
             .min()?;
         self.waiting -= 1;
         self.pending.swap(place, self.waiting);
         self.pending[self.waiting].take()
     }
-
-    /// Bytes that [`Navigator::save`] writes at most.
-    #[must_use]
-    pub const fn saved_len(&self) -> usize {
-        self.ekf.saved_len() + 8 * (1 + 1 + 12 + INTERVALS + 2 + 1 + 2 + 10 + 1 + PENDING * FIX_WORDS)
-    }
-
-    /// Writes the state with everything that waits; [`Navigator::restore`] continues with the same bits.
-    ///
-    /// # Errors
-    /// [`Error::SavedState`] when the buffer is too short.
-    pub fn save(&self, out: &mut Writer<'_>) -> Result<(), Error> {
-        self.ekf.save(out)?;
-        out.u64(u64::from(self.last.is_some()))?;
-        let last = self.last.unwrap_or(Last { t_ns: 0, raw: Rates::default(), rates: Rates::default() });
-        out.i64(last.t_ns)?;
-        for v in [&last.raw.gyro, &last.raw.accel, &last.rates.gyro, &last.rates.accel] {
-            out.f64s(v.as_slice())?;
-        }
-        self.intervals.recent.iter().try_for_each(|dt| out.i64(*dt))?;
-        out.u64(self.intervals.next as u64)?;
-        out.i64(self.intervals.owed_ns)?;
-        out.u64(u64::from(self.saturated))?;
-        out.u64(u64::from(self.refused.count))?;
-        out.f64s(&[self.refused.ratio])?;
-        for c in [&self.imu, &self.gnss] {
-            for v in [c.total, c.used, c.rejected, c.late, c.bad] {
-                out.u64(v)?;
-            }
-        }
-        out.u64(self.pending.iter().flatten().count() as u64)?;
-        self.pending.iter().flatten().try_for_each(|(row, fix)| save_fix(out, *row, fix))
-    }
-
-    /// Restores what a navigator with the same configuration saved.
-    ///
-    /// # Errors
-    /// [`Error::SavedState`] when the bytes do not fit; the navigator is then unchanged.
-    pub fn restore(&mut self, saved: &mut Reader<'_>) -> Result<(), Error> {
-        let mut next = self.clone();
-        next.ekf.restore(saved)?;
-        let some = saved.u64()? == 1;
-        let t_ns = saved.i64()?;
-        let mut v = [[0.0; 3]; 4];
-        for v in &mut v {
-            saved.f64s(v)?;
-        }
-        let [gyro, accel, gyro2, accel2] = v.map(Vector3::from);
-        let rates = Rates { gyro: gyro2, accel: accel2 };
-        next.last = some.then_some(Last { t_ns, raw: Rates { gyro, accel }, rates });
-        for dt in &mut next.intervals.recent {
-            *dt = saved.i64()?;
-        }
-        next.intervals.next = (saved.u64()? % INTERVALS as u64) as usize;
-        next.intervals.owed_ns = saved.i64()?;
-        next.saturated = saved.u64()? == 1;
-        let count = saved.u64()?.min(u64::from(u32::MAX)) as u32;
-        next.refused = Refused { count, ratio: saved.f64()? };
-        for c in [&mut next.imu, &mut next.gnss] {
-            for v in [&mut c.total, &mut c.used, &mut c.rejected, &mut c.late, &mut c.bad] {
-                *v = saved.u64()?;
-            }
-        }
-        let waiting = saved.u64()?;
-        if waiting > PENDING as u64 {
-            return Err(Error::SavedState { what: "waiting fixes", need: PENDING as u64, got: waiting });
-        }
-        next.pending = [None; PENDING];
-        next.waiting = waiting as usize;
-        for slot in next.pending.iter_mut().take(waiting as usize) {
-            *slot = Some(restore_fix(saved)?);
-        }
-        *self = next;
-        Ok(())
-    }
 }
 
 const NO_NOISE: ImuNoise =
     ImuNoise { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };
-
-/// Words of one saved fix: row, time, presence, three of position, three of velocity, 36 of covariance.
-const FIX_WORDS: usize = 3 + 6 + 36;
-
-fn save_fix(out: &mut Writer<'_>, row: u64, fix: &GnssFix) -> Result<(), Error> {
-    let mut present = u64::from(fix.position.is_some());
-    for (i, v) in fix.velocity_n.iter().enumerate() {
-        present |= u64::from(v.is_some()) << (i + 1);
-    }
-    out.u64(row)?;
-    out.i64(fix.t_ns)?;
-    out.u64(present)?;
-    let p = fix.position.unwrap_or(crate::frames::Lla::new(0.0, 0.0, 0.0));
-    out.f64s(&[p.lat_rad, p.lon_rad, p.height_m])?;
-    out.f64s(&fix.velocity_n.map(|v| v.unwrap_or(0.0)))?;
-    fix.covariance.iter().try_for_each(|r| out.f64s(r))
-}
-
-fn restore_fix(saved: &mut Reader<'_>) -> Result<(u64, GnssFix), Error> {
-    let row = saved.u64()?;
-    let t_ns = saved.i64()?;
-    let present = saved.u64()?;
-    let (mut p, mut v, mut covariance) = ([0.0; 3], [0.0; 3], [[0.0; 6]; 6]);
-    saved.f64s(&mut p)?;
-    saved.f64s(&mut v)?;
-    for r in &mut covariance {
-        saved.f64s(r)?;
-    }
-    let position = (present & 1 == 1).then(|| crate::frames::Lla::new(p[0], p[1], p[2]));
-    let velocity_n = core::array::from_fn(|i| (present >> (i + 1) & 1 == 1).then_some(v[i]));
-    Ok((row, GnssFix { t_ns, position, velocity_n, covariance }))
-}
 
 fn seconds(later_ns: i64, earlier_ns: i64) -> f64 {
     later_ns.saturating_sub(earlier_ns) as f64 / 1e9

@@ -1,103 +1,51 @@
 //! Error-state Kalman filter over any navigation model and any list of blocks.
 
+mod judge;
+mod save;
+mod settings;
+
+pub use settings::{Floor, Gate, Initial, Integrity, Settings, SolutionSd};
+
 use nalgebra::{Matrix3, Vector3};
 
 use crate::attitude::{self, skew};
 use crate::blocks::Block;
-use crate::bytes::{Reader, Writer};
 use crate::cov::Covariance;
-use crate::discretise::{BlockStep, ImuNoise, Order, Transition};
+use crate::discretise::{BlockStep, ImuNoise, Transition};
 use crate::error::Error;
-use crate::imu::{Calibration, Coning, ImuDelta, Rates, Strap};
+use crate::imu::{Calibration, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
-use crate::meas::{BadReason, Measurement, Record, Rows, Status, View};
+use crate::meas::{BadReason, Measurement, Record, Rows, SOURCES, Status, View};
 use crate::nav::kinematics::AttitudeForm;
-use crate::nav::{DP, DV, Dynamics, EarthModel, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
+use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
 use crate::small::{self, ROWS_MAX};
 
 /// Nanoseconds per second.
 const NS: f64 = 1e9;
 
-/// What a filter is tuned with.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
-    /// Ellipsoid and gravity.
-    pub earth: EarthModel,
-    /// White noise of the inertial sensors.
-    pub noise: ImuNoise,
-    /// Order of the transition matrix.
-    pub order: Order,
-    /// Coning and sculling compensation of increments.
-    pub coning: Coning,
-    /// IMU to GNSS antenna, m, body axes.
-    pub lever_b_m: Vector3<f64>,
-    /// Probability with which a good measurement passes the joint gate, or no gate.
-    pub gate_probability: Option<f64>,
-}
-
-impl Settings {
-    fn check(&self) -> Result<(), Error> {
-        let psd = [
-            ("imu.gyro noise density", &self.noise.gyro_psd),
-            ("imu.accel noise density", &self.noise.accel_psd),
-        ];
-        for (what, values) in psd {
-            if let Some(&got) = values.iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
-                return Err(Error::Config { what, need: "must be finite and at least 0", got });
-            }
-        }
-        if let Some(&got) = self.lever_b_m.iter().find(|v| !v.is_finite()) {
-            return Err(Error::Config { what: "gnss.lever_ba_b_m", need: "must be finite", got });
-        }
-        match self.gate_probability {
-            Some(p) if !(p > 0.0 && p < 1.0) => Err(Error::Config {
-                what: "gnss.gate_probability",
-                need: "must lie between 0 and 1, ends excluded",
-                got: p,
-            }),
-            _ => Ok(()),
-        }
-    }
-}
-
-/// Where a filter starts, and how well that is known.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Initial {
-    /// Time, ns.
-    pub t_ns: i64,
-    /// Solution at that time.
-    pub solution: Solution,
-    /// Standard deviation of `phi` along north, east, down, rad.
-    pub sd_phi: Vector3<f64>,
-    /// Standard deviation of the velocity along north, east, down, m/s.
-    pub sd_v: Vector3<f64>,
-    /// Standard deviation of the position along north, east, down, m.
-    pub sd_p: Vector3<f64>,
-}
-
-/// Standard deviations of the solution as the user reads it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SolutionSd {
-    /// Position north, east, down, m.
-    pub position_m: Vector3<f64>,
-    /// Velocity north, east, down, m/s.
-    pub velocity_m_s: Vector3<f64>,
-    /// Roll, pitch, heading, rad.
-    pub euler_rad: Vector3<f64>,
-}
-
 /// Closed-loop error-state Kalman filter with up to `CAP` states (a multiple of 8).
 ///
 /// The error estimate is fed back after every measurement, so between measurements it is zero and only the
-/// covariance is carried. No heap, no panic.
+/// covariance is carried; with [`Settings::feedback_ns`] it is carried beside the state until its time has come. No
+/// heap, no panic.
 #[derive(Debug, Clone)]
 pub struct Ekf<M, const CAP: usize> {
     model: M,
     layout: Layout<CAP>,
     settings: Settings,
-    gates: [f64; ROWS_MAX + 1],
+    gates: [[f64; ROWS_MAX + 1]; SOURCES],
+    /// Lower bounds of the variances, where there are any.
+    floor: Option<[f64; CAP]>,
+    /// Variances that a change of constellation adds, where it adds any.
+    jump: Option<[f64; CAP]>,
+    spatial: bool,
     t_ns: i64,
     params: [f64; CAP],
+    /// Error estimate that is not yet fed back, and the time of the last feedback.
+    waiting: Option<[f64; CAP]>,
+    fed_back_ns: i64,
+    /// The estimate after the last measurement of the receiver's position.
+    accepted: Option<(i64, Solution)>,
     cov: Covariance<CAP>,
     sensors: [Calibration; 2],
     block_step: BlockStep<CAP>,
@@ -121,18 +69,20 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             let len = block.kind.len();
             params[start..start + len].copy_from_slice(&block.initial[..len]);
         }
-        let gates = core::array::from_fn(|dof| match settings.gate_probability {
-            Some(p) if dof > 0 => small::chi_square_quantile(dof, p),
-            _ => f64::INFINITY,
-        });
-        let block_step = BlockStep::new(&layout, 0.0);
+        let block_step = BlockStep::new(&layout, 0.0, 0.0);
         let mut ekf = Self {
             model,
             layout,
             settings: *settings,
-            gates,
+            gates: settings.gates(),
+            floor: floor(&layout, &settings.floor),
+            jump: layout.jump(),
+            spatial: layout.is_spatial(),
             t_ns: initial.t_ns,
             params,
+            waiting: None,
+            fed_back_ns: initial.t_ns,
+            accepted: None,
             cov,
             sensors: [Calibration::default(); 2],
             block_step,
@@ -161,13 +111,26 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// Position, velocity and attitude.
     #[must_use]
     pub fn solution(&self) -> Solution {
-        self.model.solution()
+        match &self.waiting {
+            None => self.model.solution(),
+            Some(x) => {
+                let mut model = self.model.clone();
+                model.correct(&navigation(x));
+                model.solution()
+            }
+        }
     }
 
     /// Block parameters by state index; the first nine are zero.
     #[must_use]
-    pub const fn params(&self) -> &[f64; CAP] {
-        &self.params
+    pub fn params(&self) -> [f64; CAP] {
+        let mut params = self.params;
+        if let Some(x) = &self.waiting {
+            for (p, x) in params.iter_mut().zip(x).skip(NAV) {
+                *p += x;
+            }
+        }
+        params
     }
 
     /// Where the blocks are.
@@ -176,7 +139,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         &self.layout
     }
 
-    /// Navigation state.
+    /// Navigation state, without an error estimate that is not yet fed back.
     #[must_use]
     pub const fn model(&self) -> &M {
         &self.model
@@ -191,7 +154,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// IMU to antenna with the estimated correction, m, body axes.
     #[must_use]
     pub fn lever_b_m(&self) -> Vector3<f64> {
-        self.settings.lever_b_m + self.layout.lever_arm(&self.params)
+        self.settings.lever_b_m + self.layout.lever_arm(&self.params())
     }
 
     /// Propagates to `t_ns` with measured increments (rad, m/s) over the whole interval since the last time.
@@ -199,16 +162,17 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// # Errors
     /// [`Error::TimeBackwards`] unless `t_ns` lies after the filter's time; what [`NavModel::step`] refuses.
     pub fn predict(&mut self, t_ns: i64, dtheta: &Vector3<f64>, dvel: &Vector3<f64>) -> Result<(), Error> {
-        self.predict_with(t_ns, dtheta, dvel, &NO_NOISE)
+        self.predict_with(t_ns, dtheta, dvel, &NO_NOISE, &mut |_| {})
     }
 
-    /// As [`Ekf::predict`], with noise densities added for this interval.
+    /// As [`Ekf::predict`], with noise densities added for this interval; shows its transition to `seen`.
     pub(crate) fn predict_with(
         &mut self,
         t_ns: i64,
         dtheta: &Vector3<f64>,
         dvel: &Vector3<f64>,
         extra: &ImuNoise,
+        seen: &mut impl FnMut(&Transition<CAP>),
     ) -> Result<(), Error> {
         let dt_s = self.interval_s(t_ns)?;
         let delta = ImuDelta {
@@ -217,7 +181,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             dvel: self.sensors[1].increment(dvel, dt_s),
         };
         let strap = Strap::compensated(&delta, self.previous.as_ref(), self.settings.coning);
-        self.advance(t_ns, &strap, &delta, extra)?;
+        self.advance(t_ns, &strap, &delta, extra, seen)?;
         self.previous = Some(delta);
         self.w_ib_b = delta.dtheta / dt_s;
         Ok(())
@@ -228,16 +192,17 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// # Errors
     /// As [`Ekf::predict`].
     pub fn predict_rates(&mut self, t_ns: i64, start: &Rates, end: &Rates) -> Result<(), Error> {
-        self.predict_rates_with(t_ns, start, end, &NO_NOISE)
+        self.predict_rates_with(t_ns, start, end, &NO_NOISE, &mut |_| {})
     }
 
-    /// As [`Ekf::predict_rates`], with noise densities added for this interval.
+    /// As [`Ekf::predict_rates`], with noise densities added for this interval; shows its transition to `seen`.
     pub(crate) fn predict_rates_with(
         &mut self,
         t_ns: i64,
         start: &Rates,
         end: &Rates,
         extra: &ImuNoise,
+        seen: &mut impl FnMut(&Transition<CAP>),
     ) -> Result<(), Error> {
         let dt_s = self.interval_s(t_ns)?;
         let correct =
@@ -245,7 +210,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let (start, end) = (correct(start), correct(end));
         let mean = start.towards(&end, 0.5);
         let delta = ImuDelta { dt_s, dtheta: mean.gyro * dt_s, dvel: mean.accel * dt_s };
-        self.advance(t_ns, &Strap::from_rates(&start, &end, dt_s), &delta, extra)?;
+        self.advance(t_ns, &Strap::from_rates(&start, &end, dt_s), &delta, extra, seen)?;
         self.w_ib_b = end.gyro;
         Ok(())
     }
@@ -262,7 +227,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         }
     }
 
-    fn advance(&mut self, t_ns: i64, strap: &Strap, delta: &ImuDelta, extra: &ImuNoise) -> Result<(), Error> {
+    fn advance(
+        &mut self,
+        t_ns: i64,
+        strap: &Strap,
+        delta: &ImuDelta,
+        extra: &ImuNoise,
+        seen: &mut impl FnMut(&Transition<CAP>),
+    ) -> Result<(), Error> {
         let dt_s = delta.dt_s;
         let dynamics = self.model.step(strap).map_err(|e| at_time(e, t_ns))?;
         let noise = ImuNoise {
@@ -270,7 +242,13 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             accel_psd: self.settings.noise.accel_psd + extra.accel_psd,
         };
         let (w_b, f_b) = (delta.dtheta / dt_s, delta.dvel / dt_s);
-        self.block_step.fit(&self.layout, dt_s);
+        let speed_m_s = if self.spatial {
+            let v_n = self.model.solution().v_n;
+            crate::math::hypot(v_n.x, v_n.y)
+        } else {
+            0.0
+        };
+        self.block_step.fit(&self.layout, dt_s, speed_m_s);
         let transition = Transition::new(
             &dynamics,
             &self.layout,
@@ -281,6 +259,10 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             self.settings.order,
         );
         self.cov.predict(&transition);
+        if let Some(x) = &mut self.waiting {
+            transition.carry(x);
+        }
+        seen(&transition);
         if self.block_step.decays {
             for (p, d) in self.params.iter_mut().zip(&self.block_step.diagonal) {
                 *p *= d;
@@ -307,44 +289,69 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         Ok(())
     }
 
-    /// Fuses a measurement that is valid at the filter's time: joint gate on the prior, then scalar updates of
-    /// the whitened rows, then feedback. The record tells what became of it.
+    /// Fuses a measurement that is valid at the filter's time: tests on the prior, then scalar updates of the
+    /// whitened rows, then feedback. The record tells what became of it.
     ///
     /// # Errors
     /// [`Error::Covariance`] when the covariance is no longer positive definite: the filter must not be used on.
     /// [`Error::Future`] for a measurement that is valid after the filter's time.
     pub fn update(&mut self, row: u64, measurement: &impl Measurement) -> Result<Record, Error> {
-        let t_ns = measurement.t_ns();
+        self.update_with(row, measurement, &mut |_, _| {})
+    }
+
+    /// As [`Ekf::update`]; shows the model and the linearised rows to `seen`.
+    pub(crate) fn update_with(
+        &mut self,
+        row: u64,
+        measurement: &impl Measurement,
+        seen: &mut impl FnMut(&M, &Rows<CAP>),
+    ) -> Result<Record, Error> {
+        let (t_ns, source) = (measurement.t_ns(), measurement.source());
         if t_ns < self.t_ns {
-            return Ok(Record::unevaluated(row, t_ns, Status::Late));
+            return Ok(Record::unevaluated(source, row, t_ns, Status::Late));
         }
         if t_ns > self.t_ns {
             return Err(Error::Future { t_ns, filter_ns: self.t_ns });
         }
+        if let Some(jump) = self.jump.as_ref().filter(|_| measurement.new_constellation()) {
+            self.cov.add_diagonal(jump);
+        }
+        let bad = |reason| Ok(Record::unevaluated(source, row, t_ns, Status::Bad(reason)));
         let view = View {
             model: &self.model,
             layout: &self.layout,
             params: &self.params,
-            lever_b_m: self.lever_b_m(),
+            lever_b_m: self.settings.lever_b_m + self.layout.lever_arm(&self.params),
             w_ib_b: self.w_ib_b,
         };
-        let rows = match measurement.rows(&view) {
+        let mut rows = match measurement.rows(&view) {
             Ok(rows) => rows,
-            Err(reason) => return Ok(Record::unevaluated(row, t_ns, Status::Bad(reason))),
+            Err(reason) => return bad(reason),
         };
-        let bad = |reason| Ok(Record::unevaluated(row, t_ns, Status::Bad(reason)));
         if rows.len > ROWS_MAX || rows.component.iter().any(|c| *c >= ROWS_MAX) {
             return bad(BadReason::Value);
         }
-        let mut record = match self.evaluate(row, t_ns, &rows)? {
+        seen(&self.model, &rows);
+        if let Some(x) = &self.waiting {
+            for (y, h) in rows.y.iter_mut().zip(&rows.h).take(rows.len) {
+                *y -= h.iter().zip(x).map(|(h, x)| h * x).sum::<f64>();
+            }
+        }
+        let mut record = match self.evaluate(source, row, &rows)? {
             Ok(record) => record,
             Err(reason) => return bad(reason),
         };
-        if record.nis > self.gates[rows.len] {
-            record.status = Status::Rejected;
+        self.judge(&rows, &mut record);
+        if record.status == Status::Rejected {
             return Ok(record);
         }
+        if record.refused != 0 {
+            rows = rows.without(record.refused);
+        }
         self.fuse(rows)?;
+        if record.position_used() {
+            self.accepted = Some((self.t_ns, self.solution()));
+        }
         Ok(record)
     }
 
@@ -368,38 +375,6 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         self.w_ib_b = self.sensors[0].rate(gyro);
     }
 
-    /// Innovation, its covariance and NIS on the prior.
-    fn evaluate(&self, row: u64, t_ns: i64, rows: &Rows<CAP>) -> Result<Result<Record, BadReason>, Error> {
-        let mut record = Record::unevaluated(row, t_ns, Status::Used);
-        record.dof = rows.len;
-        let mut s = rows.r;
-        for i in 0..rows.len {
-            let ph = self.cov.times(&rows.h[i]);
-            for j in 0..rows.len {
-                s[i][j] += rows.h[j].iter().zip(&ph).map(|(h, p)| h * p).sum::<f64>();
-            }
-            if s[i][i] > PRECISION * rows.r[i][i] {
-                return Ok(Err(BadReason::Covariance));
-            }
-        }
-        let Some(l) = small::cholesky(&s, rows.len) else {
-            self.cov.check(self.t_ns)?;
-            return Ok(Err(BadReason::Covariance));
-        };
-        let mut white = rows.y.map(|y| [y]);
-        small::forward(&l, &mut white, rows.len);
-        record.nis = white.iter().take(rows.len).map(|w| w[0] * w[0]).sum();
-        for i in 0..rows.len {
-            let c = rows.component[i];
-            record.present |= 1 << c;
-            record.innovation[c] = -rows.y[i];
-            for j in 0..rows.len {
-                record.innovation_cov[c][rows.component[j]] = s[i][j];
-            }
-        }
-        Ok(if record.nis.is_finite() { Ok(record) } else { Err(BadReason::Value) })
-    }
-
     fn fuse(&mut self, mut rows: Rows<CAP>) -> Result<(), Error> {
         let bad = |pivot| Error::Covariance { t_ns: self.t_ns, state: DP, pivot };
         let l = small::cholesky(&rows.r, rows.len).ok_or(bad(rows.r[0][0]))?;
@@ -414,14 +389,27 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
                 *x += k * left;
             }
         }
-        self.feed_back(&x)?;
+        if let Some(floor) = &self.floor {
+            self.cov.raise_to(floor);
+        }
+        if let Some(waiting) = self.waiting.take() {
+            for (x, w) in x.iter_mut().zip(&waiting) {
+                *x += w;
+            }
+        }
+        if self.t_ns.saturating_sub(self.fed_back_ns) >= self.settings.feedback_ns {
+            self.feed_back(&x)?;
+            self.fed_back_ns = self.t_ns;
+        } else {
+            self.waiting = Some(x);
+        }
         self.check()
     }
 
     /// Moves the error estimate into the state. The attitude error is then measured from another estimate,
     /// Exp(-phi⁺) = Exp(phi_hat) Exp(-phi), so phi⁺ = (I + [phi_hat x]/2)(phi - phi_hat): P turns with it.
     fn feed_back(&mut self, x: &[f64; CAP]) -> Result<(), Error> {
-        let nav = Vector9::from_iterator(x.iter().take(NAV).copied());
+        let nav = navigation(x);
         self.model.correct(&nav);
         let phi: Vector3<f64> = nav.fixed_rows::<3>(PHI).into();
         self.cov.transform3(PHI, &(Matrix3::identity() + 0.5 * skew(&phi)));
@@ -467,7 +455,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     #[must_use]
     pub fn solution_sd(&self) -> SolutionSd {
         let p = self.ned_navigation_covariance();
-        let (_, pitch, heading) = attitude::to_euler(&self.model.solution().q_nb);
+        let (_, pitch, heading) = attitude::to_euler(&self.solution().q_nb);
         // an attitude error phi turns the estimate by the rotation vector -phi
         let j = attitude::euler_jacobian(pitch, heading);
         let euler = j * p.fixed_view::<3, 3>(PHI, PHI) * j.transpose();
@@ -484,85 +472,34 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     pub fn dynamics(&self, f_b: &Vector3<f64>) -> Dynamics {
         self.model.dynamics(f_b)
     }
-
-    /// Bytes that [`Ekf::save`] writes.
-    #[must_use]
-    pub const fn saved_len(&self) -> usize {
-        let n = self.layout.len();
-        8 * (3 + 10 + (n - NAV) + n * (n + 1) / 2 + 1 + 7 + 3)
-    }
-
-    /// Writes the state; [`Ekf::restore`] continues from it with the same bits.
-    ///
-    /// # Errors
-    /// [`Error::SavedState`] when the buffer is shorter than [`Ekf::saved_len`].
-    pub fn save(&self, out: &mut Writer<'_>) -> Result<(), Error> {
-        out.u64(self.layout.len() as u64)?;
-        out.u64(self.layout.fingerprint(M::NAME))?;
-        out.i64(self.t_ns)?;
-        out.f64s(&self.model.pack())?;
-        out.f64s(&self.params[NAV..self.layout.len()])?;
-        for i in 0..self.layout.len() {
-            out.f64s(&self.cov.rows()[i][..=i])?;
-        }
-        out.u64(u64::from(self.previous.is_some()))?;
-        let previous =
-            self.previous.unwrap_or(ImuDelta { dt_s: 0.0, dtheta: Vector3::zeros(), dvel: Vector3::zeros() });
-        out.f64s(&[previous.dt_s])?;
-        out.f64s(previous.dtheta.as_slice())?;
-        out.f64s(previous.dvel.as_slice())?;
-        out.f64s(self.w_ib_b.as_slice())
-    }
-
-    /// Restores a state that a filter of the same model and blocks saved.
-    ///
-    /// # Errors
-    /// [`Error::SavedState`] when the bytes belong to another model or layout or are cut short, and what
-    /// [`NavModel::unpack`] refuses; the filter is then unchanged.
-    pub fn restore(&mut self, saved: &mut Reader<'_>) -> Result<(), Error> {
-        let mut next = self.clone();
-        let n = self.layout.len();
-        saved.expect("number of states", n as u64)?;
-        saved.expect("model and block list", self.layout.fingerprint(M::NAME))?;
-        next.t_ns = saved.i64()?;
-        let mut packed = [0.0; 10];
-        saved.f64s(&mut packed)?;
-        next.model.unpack(&packed)?;
-        saved.f64s(&mut next.params[NAV..n])?;
-        for i in 0..n {
-            for j in 0..=i {
-                let value = saved.f64()?;
-                next.cov.set(i, j, value);
-            }
-        }
-        let some = saved.u64()? == 1;
-        let (mut dt, mut v) = ([0.0; 1], [[0.0; 3]; 3]);
-        saved.f64s(&mut dt)?;
-        for v in &mut v {
-            saved.f64s(v)?;
-        }
-        let [dtheta, dvel, w] = v.map(Vector3::from);
-        next.previous = some.then_some(ImuDelta { dt_s: dt[0], dtheta, dvel });
-        next.w_ib_b = w;
-        let numbers = next.params.iter().chain(&dt).chain(v.iter().flatten());
-        if !numbers.copied().all(f64::is_finite) {
-            return Err(Error::NonFinite { what: "saved state", t_ns: next.t_ns });
-        }
-        next.refresh_sensors()?;
-        next.cov.check(next.t_ns)?;
-        *self = next;
-        Ok(())
-    }
 }
 
 /// Position sigma at which a solution is none, m: far below where the covariance loses its digits.
 const UNKNOWN_M: f64 = 1e6;
 
-/// Largest ratio of prior variance over noise variance that a full covariance in double precision can take in.
-const PRECISION: f64 = 1e15;
-
 const NO_NOISE: ImuNoise =
     ImuNoise { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };
+
+/// The navigation errors of an error vector.
+fn navigation<const CAP: usize>(x: &[f64; CAP]) -> Vector9 {
+    Vector9::from_iterator(x.iter().take(NAV).copied())
+}
+
+/// Lower bounds of all variances, or `None` when there are none.
+fn floor<const CAP: usize>(layout: &Layout<CAP>, nav: &Floor) -> Option<[f64; CAP]> {
+    let mut floor = [0.0; CAP];
+    for (start, sd) in [(PHI, &nav.phi), (DV, &nav.v), (DP, &nav.p)] {
+        for i in 0..3 {
+            floor[start + i] = sd[i] * sd[i];
+        }
+    }
+    for (block, start) in layout.blocks() {
+        for (f, sd) in floor[start..].iter_mut().zip(&block.floor_sd[..block.kind.len()]) {
+            *f = sd * sd;
+        }
+    }
+    floor.iter().any(|v| *v > 0.0).then_some(floor)
+}
 
 fn at_time(error: Error, t_ns: i64) -> Error {
     match error {

@@ -1,0 +1,153 @@
+//! Whether a measurement is to be believed: innovation, its covariance, and the tests on both.
+
+use super::{Ekf, Gate};
+use crate::error::Error;
+use crate::math;
+use crate::meas::{BadReason, PART, Record, Rows, Source, Status, Test};
+use crate::nav::NavModel;
+use crate::small::{self, ROWS_MAX};
+
+/// Largest ratio of prior variance over noise variance that a full covariance in double precision can take in.
+const PRECISION: f64 = 1e15;
+
+/// Sigmas of a fix that the tolerance test allows, on a difference of two.
+const TOLERANCE_SIGMAS: f64 = 5.0 * core::f64::consts::SQRT_2;
+
+/// Position and velocity: the parts of a fix.
+const PARTS: [usize; 2] = [0, 1];
+
+impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
+    /// Innovation, its covariance and NIS on the prior.
+    pub(super) fn evaluate(
+        &self,
+        source: Source,
+        row: u64,
+        rows: &Rows<CAP>,
+    ) -> Result<Result<Record, BadReason>, Error> {
+        let mut record = Record::unevaluated(source, row, self.t_ns, Status::Used);
+        record.dof = rows.len;
+        let mut s = rows.r;
+        for i in 0..rows.len {
+            let ph = self.cov.times(&rows.h[i]);
+            for j in 0..rows.len {
+                s[i][j] += rows.h[j].iter().zip(&ph).map(|(h, p)| h * p).sum::<f64>();
+            }
+            if s[i][i] > PRECISION * rows.r[i][i] {
+                return Ok(Err(BadReason::Covariance));
+            }
+        }
+        let Some(l) = small::cholesky(&s, rows.len) else {
+            self.cov.check(self.t_ns)?;
+            return Ok(Err(BadReason::Covariance));
+        };
+        let mut white = rows.y.map(|y| [y]);
+        small::forward(&l, &mut white, rows.len);
+        record.nis = white.iter().take(rows.len).map(|w| w[0] * w[0]).sum();
+        for i in 0..rows.len {
+            let c = rows.component[i];
+            record.present |= 1 << c;
+            record.innovation[c] = -rows.y[i];
+            for j in 0..rows.len {
+                record.innovation_cov[c][rows.component[j]] = s[i][j];
+            }
+        }
+        Ok(if record.nis.is_finite() { Ok(record) } else { Err(BadReason::Value) })
+    }
+
+    /// Puts the verdict of the tests into a record.
+    pub(super) fn judge(&self, rows: &Rows<CAP>, record: &mut Record) {
+        let gates = &self.gates[record.source.index()];
+        let set = &self.settings.integrity;
+        if set.gate == Gate::Joint && record.nis > gates[rows.len] {
+            record.refuse(record.present, Test::ChiSquare);
+        }
+        for part in PARTS {
+            let bits = part_bits(part) & record.present;
+            if bits == 0 {
+                continue;
+            }
+            if set.gate == Gate::Parts {
+                let (nis, dof) = part_nis(record, bits);
+                if nis > gates[dof] {
+                    record.refuse(bits, Test::ChiSquare);
+                }
+            }
+            if record.source != Source::Gnss {
+                continue;
+            }
+            if set.trace_ratio_limit.is_some_and(|limit| trace_ratio(record, bits) >= limit) {
+                record.refuse(bits, Test::TraceRatio);
+            }
+            if set.max_accel_m_s2.is_some_and(|a| self.beyond_tolerance(part, rows, a)) {
+                record.refuse(bits, Test::Tolerance);
+            }
+        }
+        if record.refused == record.present {
+            record.status = Status::Rejected;
+        }
+    }
+
+    /// Whether a part of a fix lies farther from the extrapolated last accepted estimate than the vehicle can have gone.
+    fn beyond_tolerance(&self, part: usize, rows: &Rows<CAP>, accel: f64) -> bool {
+        let Some((then_ns, then)) = &self.accepted else { return false };
+        let now = self.solution();
+        let dt = self.t_ns.saturating_sub(*then_ns) as f64 / super::NS;
+        let (reach, moved) = if part == 0 {
+            let radii = self.settings.earth.ellipsoid.radii(math::sin(then.position.lat_rad));
+            let (m, n) =
+                (radii.meridian_m + then.position.height_m, radii.prime_vertical_m + then.position.height_m);
+            let east = crate::frames::wrap_pi(now.position.lon_rad - then.position.lon_rad);
+            let gone = nalgebra::Vector3::new(
+                (now.position.lat_rad - then.position.lat_rad) * m,
+                east * n * math::cos(then.position.lat_rad),
+                then.position.height_m - now.position.height_m,
+            );
+            (0.5 * accel * dt * dt, gone - then.v_n * dt)
+        } else {
+            (accel * dt, now.v_n - then.v_n)
+        };
+        // measured minus extrapolated = predicted minus extrapolated, less y = predicted minus measured
+        (0..rows.len).filter(|i| rows.component[*i] / PART == part).any(|i| {
+            let off = moved[rows.component[i] % PART] - rows.y[i];
+            math::abs(off) > reach + TOLERANCE_SIGMAS * math::sqrt(rows.r[i][i])
+        })
+    }
+}
+
+/// Bits of the components of a part.
+const fn part_bits(part: usize) -> u8 {
+    0b111 << (part * PART)
+}
+
+/// Components among some bits, and how many they are.
+fn components(bits: u8) -> ([usize; ROWS_MAX], usize) {
+    let (mut list, mut len) = ([0; ROWS_MAX], 0);
+    for c in (0..ROWS_MAX).filter(|c| bits >> c & 1 == 1) {
+        list[len] = c;
+        len += 1;
+    }
+    (list, len)
+}
+
+/// NIS of some components by themselves, and their number; infinite where their covariance is none.
+fn part_nis(record: &Record, bits: u8) -> (f64, usize) {
+    let (list, len) = components(bits);
+    let (mut s, mut y) = ([[0.0; ROWS_MAX]; ROWS_MAX], [[0.0]; ROWS_MAX]);
+    for i in 0..len {
+        y[i] = [record.innovation[list[i]]];
+        for j in 0..len {
+            s[i][j] = record.innovation_cov[list[i]][list[j]];
+        }
+    }
+    let Some(l) = small::cholesky(&s, len) else { return (f64::INFINITY, len) };
+    small::forward(&l, &mut y, len);
+    (y.iter().take(len).map(|w| w[0] * w[0]).sum(), len)
+}
+
+/// Innovation squared over the trace of its covariance; Novik (2011), integrity test of a subvector.
+fn trace_ratio(record: &Record, bits: u8) -> f64 {
+    let (list, len) = components(bits);
+    let list = &list[..len];
+    let squared: f64 = list.iter().map(|c| record.innovation[*c] * record.innovation[*c]).sum();
+    squared / list.iter().map(|c| record.innovation_cov[*c][*c]).sum::<f64>()
+}

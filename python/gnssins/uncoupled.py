@@ -22,8 +22,7 @@ from gnssins.dataset import Dataset, ImuTable
 from gnssins.errors import ConfigError, InputError
 from gnssins.result import STATUS, WITHHELD, Covariance, Records, Result
 from gnssins.runner import Start, as_initial, versions
-from gnssins.sim.frames import displaced
-from gnssins.tables import State
+from gnssins.tables import State, wrap_pi
 from gnssins.units import NS_PER_S, ms_to_ns, seconds_to_ns
 
 if TYPE_CHECKING:
@@ -112,7 +111,7 @@ def separated(
     vertical_tau_s : float or None
         Time constant of the third-order loop of the vertical channel, s; None: the outer height replaces the own one.
     height : (t_ns, height_m), optional
-        Readings of the barometer, shapes (b,); left out: those of the dataset.
+        Readings of the barometer at their times of validity, shapes (b,); left out: those of the dataset.
     lever_ba_b_m : sequence of float, optional
         Antenna from the IMU, body axes (m); left out: that of the simulation, else 0.
     latency_ms : float, optional
@@ -172,7 +171,12 @@ def _inputs(data: Dataset | Simulated, initial: Start | None) -> tuple[Dataset, 
         "coning": "two-sample",
         "attitude_form": "rotation-vector",
     }
-    common: dict[str, Any] = {"equations": equations, "outages": (), "lever": np.zeros(3), "latency_ms": 0.0}
+    common: dict[str, Any] = {
+        "equations": equations,
+        "outages": (),
+        "lever": np.zeros(3),
+        "latency_ms": 0.0,
+    }
     if isinstance(data, Dataset):
         if initial is None:
             raise InputError(
@@ -320,7 +324,7 @@ class _Run:
             if self.height is not None:
                 position[2] = velocity[2] = 0.0
         velocity = np.where(np.isfinite(velocity), velocity, 0.0)
-        self.lla[k] = displaced(self.lla[k : k + 1], -share[0] * position[None], self.ellipsoid)[0]
+        self.lla[k] = self._moved(self.lla[k], -share[0] * position, self.gnss.lla[row])
         self.v_n[k] = self.v_n[k] - share[1] * velocity
         self.ins.restart(self.lla[k], self.v_n[k])
 
@@ -344,6 +348,14 @@ class _Run:
         velocity = self.v_n[k] + back * (before[2] - self.v_n[k]) + swing - self.gnss.v_n[row]
         return np.asarray(position), np.asarray(velocity)
 
+    def _moved(self, lla: Array, ned_m: Array, at: Array) -> Array:
+        """Position moved along the coordinate lines, metres counted at ``at``: undoes :func:`ned_difference`."""
+        radii = _core.radii(at[:1].copy(), self.ellipsoid)[0] + at[2]
+        step = [ned_m[0] / radii[0], ned_m[1] / (radii[1] * math.cos(at[0])), -ned_m[2]]
+        moved = lla + step
+        moved[1] = wrap_pi(moved[1])
+        return np.asarray(moved)
+
     def _heights(self, dataset: Dataset, given: tuple[Times, Array] | None) -> Array | None:
         """Outer height at the stamps of the increments, NaN where there is none; None for a free channel."""
         if self.setup.vertical == "free":
@@ -351,10 +363,9 @@ class _Run:
         if self.setup.vertical == "gnss":
             keep = np.isfinite(self.gnss.lla[:, 2]) & ~self._held()
             return _joined(self.t_ns, self.valid_ns[keep], self.gnss.lla[keep, 2] + self.setup.lever_b[2])
-        baro = getattr(dataset, "baro", None)
-        if given is None and baro is not None:
-            given = baro.t_ns, baro.height_m
-        if given is None or not given[0].size:
+        if given is None:
+            given = dataset.baro.t_ns, dataset.baro.height_m
+        if not given[0].size:
             raise InputError(
                 "input.no_height",
                 'vertical = "baro", but there are no height readings',
@@ -371,6 +382,7 @@ class _Run:
             row=seen.astype(np.int64),
             t_ns=self.valid_ns,
             status=self.status,
+            refused=np.zeros(seen.size, dtype=np.uint8),
             dof=np.isfinite(self.innovation).sum(axis=1).astype(np.uint8),
             nis=np.full(seen.size, np.nan),
             innovation=self.innovation,
@@ -454,6 +466,8 @@ def _joined(t_ns: Times, have_ns: Times, values: Array) -> Array:
     out = np.interp(t_ns - have_ns[0], have_ns - have_ns[0], values, left=np.nan, right=np.nan)
     step = np.diff(have_ns)
     after = np.clip(np.searchsorted(have_ns, t_ns), 1, have_ns.size - 1)
+    if not np.isfinite(values).all():
+        return _joined(t_ns, have_ns[np.isfinite(values)], values[np.isfinite(values)])
     apart = step[after - 1] > LONGEST_STEP * np.median(step)
     return np.asarray(np.where(apart & (t_ns != have_ns[after]), np.nan, out))
 

@@ -36,7 +36,7 @@ def command_line() -> str:
         "COLUMNS": "100",
         "PYTHONIOENCODING": "utf-8",
     }
-    for command in ("", "demo", "simulate", "run", "compare", "budget", "schuler"):
+    for command in ("", "demo", "simulate", "run", "compare", "outages", "reproduce", "budget", "schuler"):
         words = [sys.executable, "-m", "gnssins", *command.split(), "--help"]
         done = subprocess.run(words, check=True, capture_output=True, encoding="utf-8", env=environment)
         text = done.stdout.replace("python -m gnssins", "gnssins").strip("\n")
@@ -61,7 +61,7 @@ def presets() -> str:
         filters.append(f"| `{name}` | {_core.preset_summary(name)} | {gyro_text} | {accel_text} |")
         for block in preset["blocks"]:
             cells = (name, block["name"], block["process"])
-            start = _value(block["kind"], block["initial_sd"][0])
+            start = _values(block["kind"], block["initial_sd"])
             blocks.append(f"| {' | '.join(f'`{c}`' for c in cells)} | {start} | {_motion(block)} |")
     return "\n".join([*filters, "", *blocks, ""])
 
@@ -70,17 +70,33 @@ def _motion(block: dict) -> str:
     if block["process"] == "random_walk":
         return _value(block["kind"], math.sqrt(block["psd"][0])) + " per √s"
     if block["process"] == "gauss_markov":
-        return f"{_value(block['kind'], block['sd'][0])}, tau {block['tau_s'][0]:.0f} s"
+        text = f"{_values(block['kind'], block['sd'])}, tau {block['tau_s'][0]:.0f} s"
+        if block.get("distance_m"):
+            text += f" and {block['distance_m'] / 1000.0:.0f} km"
+        if any(block.get("jump_sd") or ()):
+            text += f", jumps of {_values(block['kind'], block['jump_sd'])}"
+        return text
     return "none"
+
+
+def _values(kind: str, values: list[float]) -> str:
+    """Numbers of a block, once if they are equal on all axes."""
+    texts = [_value(kind, value) for value in values]
+    return texts[0] if len(set(texts)) == 1 else ", ".join(texts)
 
 
 def _value(kind: str, value: float) -> str:
     """A number of a block in the unit of data sheets."""
     if kind == "gyro_bias":
         per_hour = value / units.GYRO_BIAS["deg/h"]
-        return f"{per_hour:.3g} °/h" if per_hour < 1.0 else f"{per_hour / 3600.0:.3g} °/s"
+        return f"{per_hour:.3g} °/h" if per_hour < 5.0 else f"{per_hour / 3600.0:.3g} °/s"
     if kind == "accel_bias":
-        return f"{value / units.ACCEL_BIAS['mg']:.2g} mg"
+        in_mg = value / units.ACCEL_BIAS["mg"]
+        return f"{in_mg:.2g} mg" if in_mg > 0.05 else f"{1000.0 * in_mg:.2g} µg"
+    if kind in ("baro_bias", "gnss_lever_arm", "gnss_position_error"):
+        return f"{value:.3g} m"
+    if kind == "gnss_velocity_error":
+        return f"{value:.3g} m/s"
     return f"{value / units.SCALE['ppm']:.0f} ppm"
 
 

@@ -18,10 +18,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gnssins import analysis, checks, config, errors, plots, result, sim
+    from gnssins import analysis, checks, config, errors, plots, reproduce, result, sim
     from gnssins.alignment import InitialState, initial_state
     from gnssins.config import Config, preset_names
-    from gnssins.dataset import Dataset, GnssTable, ImuTable, TruthTable
+    from gnssins.dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuTable, TruthTable
     from gnssins.errors import GnssinsError
     from gnssins.io import read_dataset
     from gnssins.navigator import Navigator
@@ -31,10 +31,12 @@ if TYPE_CHECKING:
     from gnssins.uncoupled import separated
 
 __all__ = [
+    "BaroTable",
     "Config",
     "Dataset",
     "GnssTable",
     "GnssinsError",
+    "HeadingTable",
     "ImuTable",
     "InitialState",
     "Navigator",
@@ -51,6 +53,7 @@ __all__ = [
     "plots",
     "preset_names",
     "read_dataset",
+    "reproduce",
     "result",
     "run",
     "separated",
@@ -58,13 +61,15 @@ __all__ = [
     "simulate",
 ]
 
-_MODULES = ("analysis", "checks", "config", "errors", "plots", "result", "sim")
+_MODULES = ("analysis", "checks", "config", "errors", "plots", "reproduce", "result", "sim")
 
 _HOME = {
+    "BaroTable": "dataset",
     "Config": "config",
     "Dataset": "dataset",
     "GnssTable": "dataset",
     "GnssinsError": "errors",
+    "HeadingTable": "dataset",
     "ImuTable": "dataset",
     "InitialState": "alignment",
     "Navigator": "navigator",

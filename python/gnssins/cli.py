@@ -146,6 +146,92 @@ def compare(
 
 
 @app.command(
+    epilog="Example: gnssins reproduce fomichev-tan-2017 --runs 20 --out report",
+    help="Repeat a published experiment by Monte Carlo and hold every figure against the publication.\n\n"
+    "Writes tables as CSV, figures as PNG, report.txt and summary.json. A claim that is missed is told, with the "
+    "reason; the command still leaves with 0.",
+)
+def reproduce(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="A publication of gnssins reproduce --list.")
+    ] = "",
+    runs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Monte Carlo runs; default: what the publication's figures need."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of all random numbers.")] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Threads; default: one per core. The figures do not depend on it."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder to write; default: NAME-reproduction."),
+    ] = None,
+    names: Annotated[
+        bool, typer.Option("--list", metavar="", help="List the publications and leave.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Repeat a published experiment by Monte Carlo and hold every figure against the publication."""
+    from gnssins.commands import reproducing
+
+    if names:
+        reproducing.list_publications(json)
+        return
+    if not name:
+        raise typer.BadParameter("name a publication; gnssins reproduce --list shows them", param_hint="NAME")
+    reproducing.reproduce(name, runs, seed, jobs, out, json)
+
+
+@app.command(
+    epilog="Example: gnssins outages drive.toml --length 60 --count 7",
+    help="How fast the errors grow when GNSS is lost: withhold the fixes of several windows, and tell the errors after "
+    "so many seconds.\n\n"
+    "Works on any recording that gnssins run can process. The errors are those against the reference of the "
+    "configuration, or against the withheld fixes. CONFIG.toml may also be the name of a packaged scenario.",
+)
+def outages(
+    config: Annotated[
+        str, typer.Argument(metavar="CONFIG.toml", help="Configuration; it names the input files.")
+    ],
+    length: Annotated[float, typer.Option(metavar="SECONDS", help="Length of a window without GNSS.")] = 60.0,
+    count: Annotated[int, typer.Option(help="Number of windows.")] = 7,
+    first: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Start of the first window; default: after --settle."),
+    ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="From start to start; default: spread over the recording."),
+    ] = None,
+    settle: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Time that the filter has before the first window.")
+    ] = 60.0,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S,S,...", help="Times since the start of a window; default: four to six of them."
+        ),
+    ] = None,
+    reference: Annotated[
+        str,
+        typer.Option(
+            help="truth; fixes: the withheld ones, at the antenna; run: the same filter with all fixes; auto: "
+            "truth if the configuration names one, else fixes."
+        ),
+    ] = "auto",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of a packaged scenario.")] = 0,
+    json: Json = False,
+) -> None:
+    """How fast the errors grow when GNSS is lost."""
+    from gnssins.commands import outages as command
+
+    windows = command.Windows(length, count, first, period, settle)
+    command.outages(config, windows, at, reference, seed, json)
+
+
+@app.command(
     epilog="Example: gnssins budget --position 5 --outage 100 --accel-ug 25 --gyro-deg-h 0.003",
     help="Show which accelerometer and gyro errors a position requirement allows for an outage of GNSS.\n\n"
     "With the errors of given sensors: how long an outage they bridge. One horizontal channel, constant errors.",

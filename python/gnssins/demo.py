@@ -276,7 +276,7 @@ def run_demo(folder: Path, seed: int = 2017) -> DemoReport:
     simulator = Simulator(SCENARIO)
     simulated = simulator.run(seed)
     simulated_s = time.perf_counter() - clock
-    windows = simulator.scenario.variant["gaps"].outages
+    windows = Simulator(simulator.scenario, variant="gaps").outages
     whole, gaps = fly(simulated), fly(simulated, windows)
     if simulated.dataset.truth is None:
         raise TypeError("the simulated flight has no truth")

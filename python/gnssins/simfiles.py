@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,11 +10,12 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
-from gnssins import _core
+from gnssins import _core, units
 from gnssins.config import Config, preset_names
-from gnssins.io import write_gnss, write_imu, write_truth
+from gnssins.io import write_baro, write_gnss, write_heading, write_imu, write_truth
 from gnssins.outputs import make_folder
-from gnssins.sim import Scenario, Simulated
+from gnssins.sim import Scenario, Simulated, load_scenario, scenario_names
+from gnssins.sim.aid_config import CorrelatedPosition, CorrelatedVelocity
 from gnssins.sim.sensor_config import ImuError
 from gnssins.storage import write_atomic
 
@@ -34,7 +36,7 @@ _HEAD: Final = """\
 
 
 def write_simulation(simulated: Simulated, folder: str | Path) -> list[str]:
-    """Write ``imu.csv.gz``, ``gnss.csv.gz``, ``ref.csv.gz`` and ``NAME.toml``, which names them.
+    """Write ``imu.csv.gz``, ``ref.csv.gz``, one file per aid and ``NAME.toml``, which names them.
 
     Parameters
     ----------
@@ -54,6 +56,12 @@ def write_simulation(simulated: Simulated, folder: str | Path) -> list[str]:
     if len(data.gnss):
         files["gnss"] = "gnss.csv.gz"
         write_gnss(target / files["gnss"], data.gnss)
+    if len(data.baro):
+        files["baro"] = "baro.csv.gz"
+        write_baro(target / files["baro"], data.baro)
+    if len(data.heading):
+        files["heading"] = "heading.csv.gz"
+        write_heading(target / files["heading"], data.heading)
     if data.truth is not None:
         files["truth"] = "ref.csv.gz"
         write_truth(target / files["truth"], data.truth)
@@ -71,14 +79,22 @@ def write_simulation(simulated: Simulated, folder: str | Path) -> list[str]:
 
 def output_files(scenario: Scenario, folder: Path) -> list[Path]:
     """Every file that :func:`write_simulation` may write for a scenario."""
-    names = ("imu.csv.gz", "gnss.csv.gz", "ref.csv.gz", f"{scenario.name}.toml")
+    names = [
+        "imu.csv.gz",
+        "gnss.csv.gz",
+        "baro.csv.gz",
+        "heading.csv.gz",
+        "ref.csv.gz",
+        f"{scenario.name}.toml",
+    ]
     return [folder / name for name in names]
 
 
 def scenario_config(simulated: Simulated) -> dict[str, Any]:
     """Tables of a configuration for a simulated run, without file names.
 
-    The filter is the preset of the name of the scenario if there is one, else one block per simulated error.
+    The filter is the preset of the name of the scenario if there is one and the sensors are those that it is for, else
+    one block per simulated error.
 
     Parameters
     ----------
@@ -104,6 +120,10 @@ def scenario_config(simulated: Simulated) -> dict[str, Any]:
         use = "both" if gnss.position_sd_m and gnss.velocity_sd_m_s else "position"
         use = use if gnss.position_sd_m else "velocity"
         tables["gnss"] = {"use": use, "lever_ba_b_m": list(gnss.lever_ba_b_m), "latency_ms": gnss.latency_ms}
+    if scenario.baro is not None:
+        tables["baro"] = {"latency_ms": scenario.baro.latency_ms}
+    if scenario.heading is not None:
+        tables["heading"] = {"latency_ms": scenario.heading.latency_ms}
     return tables
 
 
@@ -116,9 +136,22 @@ def matching_filter(scenario: Scenario) -> dict[str, Any]:
         "gravity": truth.gravity,
         "coning": truth.coning,
     }
-    if scenario.name in preset_names():
+    if scenario.name in preset_names() and _has_packaged_sensors(scenario):
         return {"preset": scenario.name, **equations}
-    return {**equations, "block": [_block(error) for error in scenario.imu.error] + _gnss_blocks(scenario)}
+    aids = _baro_blocks(scenario) + _gnss_blocks(scenario)
+    return {**equations, "block": [_block(error) for error in scenario.imu.error] + aids}
+
+
+def _has_packaged_sensors(scenario: Scenario) -> bool:
+    """Tell whether IMU, receiver and altimeter are those of the packaged scenario of this name, outages aside."""
+    if scenario.name not in scenario_names():
+        return True
+    packaged = load_scenario(scenario.name)
+    receivers = [
+        None if gnss is None else gnss.model_copy(update={"outages": ()})
+        for gnss in (scenario.gnss, packaged.gnss)
+    ]
+    return scenario.imu == packaged.imu and receivers[0] == receivers[1] and scenario.baro == packaged.baro
 
 
 def _block(error: ImuError) -> dict[str, Any]:
@@ -141,6 +174,18 @@ def _block(error: ImuError) -> dict[str, Any]:
     return {**block, "initial_sd": np.maximum(values, 0.1 * max(values.max(), 1e-3)).tolist()}
 
 
+def _baro_blocks(scenario: Scenario) -> list[dict[str, Any]]:
+    """Block of the bias of the altimeter."""
+    baro = scenario.baro
+    if baro is None or not (baro.bias_initial_sd_m or baro.bias_walk_m_sqrt_s):
+        return []
+    start = max(baro.bias_initial_sd_m, 1e-3)
+    if not baro.bias_walk_m_sqrt_s:
+        return [{"kind": "baro_bias", "process": "constant", "unit": "m", "initial_sd": start}]
+    walk = {"initial_sd": start, "walk": baro.bias_walk_m_sqrt_s}
+    return [{"kind": "baro_bias", "process": "random_walk", "unit": "m", **walk}]
+
+
 def _gnss_blocks(scenario: Scenario) -> list[dict[str, Any]]:
     """Blocks of the lever arm and of the correlated errors of the receiver."""
     gnss = scenario.gnss
@@ -151,21 +196,36 @@ def _gnss_blocks(scenario: Scenario) -> list[dict[str, Any]]:
         sd = [max(v, 1e-4) for v in gnss.lever_error_sd_m]
         blocks.append({"kind": "gnss_lever_arm", "process": "constant", "unit": "m", "initial_sd": sd})
     if gnss.position_error is not None:
-        sd, tau_s = list(gnss.position_error.sd_m), gnss.position_error.tau_s
-        blocks.append(_markov("gnss_position_error", "m", sd, tau_s))
+        slow = gnss.position_error
+        blocks.append(_markov("gnss_position_error", "m", slow, slow.sd_m, slow.jump_sd_m))
     if gnss.velocity_error is not None:
-        sd, tau_s = list(gnss.velocity_error.sd_m_s), gnss.velocity_error.tau_s
-        blocks.append(_markov("gnss_velocity_error", "m/s", sd, tau_s))
+        fast = gnss.velocity_error
+        blocks.append(_markov("gnss_velocity_error", "m/s", fast, fast.sd_m_s, fast.jump_sd_m_s))
     return blocks
 
 
-def _markov(kind: str, unit: str, sd: list[float], tau_s: float) -> dict[str, Any]:
-    return {"kind": kind, "process": "gauss_markov", "unit": unit, "sd": sd, "tau_s": tau_s}
+def _markov(
+    kind: str,
+    unit: str,
+    error: CorrelatedPosition | CorrelatedVelocity,
+    sd: Sequence[float],
+    jump_sd: Sequence[float],
+) -> dict[str, Any]:
+    """One block of a correlated error of the receiver."""
+    block: dict[str, Any] = {"kind": kind, "process": "gauss_markov", "unit": unit, "sd": list(sd)}
+    block["tau_s"] = error.tau_s
+    if error.distance_m is not None:
+        block["distance_m"] = error.distance_m
+    if any(jump_sd):
+        block["jump_sd"] = list(jump_sd)
+    return block
 
 
 def _imu_noise(scenario: Scenario) -> dict[str, Any]:
-    arw = [max(v, LEAST_ARW_DEG_SQRT_H) for v in scenario.imu.gyro.arw_deg_sqrt_h]
-    vrw = [max(v, LEAST_VRW_M_S_SQRT_H) for v in scenario.imu.accel.vrw_m_s_sqrt_h]
+    gyro = scenario.imu.gyro.density / units.DEG_SQRT_H_TO_RAD_SQRT_S
+    accel = scenario.imu.accel.density / units.M_S_SQRT_H_TO_M_S_SQRT_S
+    arw = np.maximum(gyro, LEAST_ARW_DEG_SQRT_H).tolist()
+    vrw = np.maximum(accel, LEAST_VRW_M_S_SQRT_H).tolist()
     return {"gyro": {"arw_deg_sqrt_h": arw}, "accel": {"vrw_m_s_sqrt_h": vrw}}
 
 

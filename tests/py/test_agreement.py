@@ -18,7 +18,7 @@ from gnssins import _core
 from reference import attitude as att
 from reference import earth
 from reference import filter as reference_filter
-from reference.cases import CASES
+from reference.cases import CASES, ned22
 from reference.differences import LD, differences, ecef_error_rates, ned_error_rates, noise_of
 from reference.differences import near as compare
 from reference.make_golden import GOLDEN
@@ -323,3 +323,37 @@ def test_engine_dynamics_are_the_differences_of_the_equations_of_motion(model, p
     floor = noise_of([1.0, 50.0, 400.0]) + 1e-14 * np.abs(numeric).max(axis=1, keepdims=True)
     floor[3:6, 6:9] = 1e-20
     compare(np.hstack([d["f"], d["gyro"], d["accel"]]), numeric, floor, rel=1e-7)
+
+
+def test_other_aids_jumps_floors_and_gates_by_part_agree():
+    # barometer, headings, errors correlated over the way, lower bounds: nothing of it is in the golden runs
+    config, imu, gnss, aids = ned22()
+    want = reference_filter.run(config, imu, gnss, aids)
+    got = _core.run(
+        json.dumps(config),
+        imu["t_ns"],
+        imu["gyro"],
+        imu["accel"],
+        gnss["t_ns"],
+        gnss["pos"],
+        gnss["vel"],
+        gnss["var"],
+        None,
+        gnss_new=gnss["new"],
+        **{name: (t["t_ns"], t["value"], t["var"]) for name, t in aids.items()},
+    )
+    assert len(config["blocks"]) == 5
+    assert got["cov"].shape[1] == 22
+    rows = pick(want["t_ns"], got["t_ns"])
+    misfit = state_misfit(got, {k: want[k][rows] for k in ("lla", "v_n", "q_nb", "x")}, initial_sd(config))
+    assert max(misfit.values()) < TOLERANCE, misfit
+    assert covariance_misfit(got["cov"], want["cov"][pick(want["t_ns"], got["cov_t_ns"])]) < TOLERANCE
+    for name in aids:
+        records = want[name]
+        assert list(got[name]["status"]) == [r["status"] for r in records]
+        sd = np.sqrt([r["variance"] for r in records])
+        assert np.abs(got[name]["innovation"] - [r["innovation"] for r in records]).max() < 1e-8 * sd.min()
+        assert got[name]["variance"] == pytest.approx(sd**2, rel=1e-9)
+        assert got[name]["nis"] == pytest.approx([r["nis"] for r in records], rel=1e-7, abs=1e-8)
+    assert [int(r) for r in got["meas"]["refused"]] == [0, 0, 0, 0b111, 0, 0, 0b111_000, 0, 0, 0]
+    assert list(got["baro"]["status"]).count(1) == 1

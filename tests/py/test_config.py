@@ -84,8 +84,15 @@ def test_ranges_calibration_latency_and_rates_become_si():
         "latency_ns": -100_000_000,
         "gate_probability": None,
         "reacquire_after": None,
+        "gate": "joint",
+        "trace_ratio_limit": None,
+        "max_accel_m_s2": None,
     }
-    assert engine["output"] == {"interval_ns": 100_000_000, "covariance_interval_ns": 2_500_000_000}
+    assert engine["output"] == {
+        "interval_ns": 100_000_000,
+        "covariance_interval_ns": 2_500_000_000,
+        "linearise": False,
+    }
 
 
 @pytest.mark.parametrize("value", [0, 1, -3, 2.5, True, "never"])
@@ -320,3 +327,53 @@ def test_every_key_is_described_and_stands_in_the_reference():
 
 def test_lines_of_the_reference_fit_the_screen():
     assert max(map(len, render_reference().splitlines())) <= 110
+
+
+def test_bounds_jumps_and_feedback_reach_the_engine():
+    tables = {"gnss": {}}
+    tables["filter"] = {
+        "preset": "novik-2011",
+        "feedback_interval_s": 100.0,
+        "floor_attitude_deg": [0.1, 0.1, 0.5],
+        "floor_velocity_m_s": 0.002,
+        "block": [
+            {"kind": "baro_bias", "unit": "m", "floor_sd": 0.1},
+            {"kind": "gnss_position_error", "unit": "m", "jump_sd": [1.0, 2.0, 3.0], "distance_m": 1e5},
+        ],
+    }
+    tables["gnss"] |= {"gate": "parts", "trace_ratio_limit": 10, "max_accel_m_s2": 5}
+    tables["baro"] = {"latency_ms": 20, "gate_probability": "off"}
+    engine = Config.from_dict(tables).engine_config()
+    assert engine["feedback_ns"] == 100_000_000_000
+    assert engine["floor"] == {
+        "phi": pytest.approx([0.1 * DEG, 0.1 * DEG, 0.5 * DEG]),
+        "v": [0.002] * 3,
+        "p": [0.0] * 3,
+    }
+    blocks = {block["name"]: block for block in engine["blocks"]}
+    assert blocks["baro_bias"]["floor_sd"] == [0.1]
+    assert blocks["baro_bias"]["initial_sd"] == [4.0]  # the preset's
+    error = blocks["gnss_position_error"]
+    assert (error["jump_sd"], error["distance_m"], error["sd"]) == ([1.0, 2.0, 3.0], 1e5, [6.0, 6.0, 8.5])
+    assert blocks["gnss_velocity_error"]["jump_sd"] == [0.015] * 3
+    assert "distance_m" not in blocks["gnss_velocity_error"]
+    gnss = engine["gnss"]
+    assert (gnss["gate"], gnss["trace_ratio_limit"], gnss["max_accel_m_s2"]) == ("parts", 10, 5)
+    assert engine["baro"] == {"latency_ns": 20_000_000, "gate_probability": None}
+    assert engine["heading"] == {"latency_ns": 0, "gate_probability": 0.999}
+
+
+@pytest.mark.parametrize(
+    ("block", "text"),
+    [
+        ({"kind": "gyro_bias", "unit": "deg/h", "distance_m": 100.0}, "for gnss_position_error"),
+        ({"kind": "baro_bias", "unit": "m", "process": "random_walk", "distance_m": 9.0}, "gauss_markov"),
+        ({"kind": "baro_bias", "unit": "m", "floor_sd": -1.0}, "negative"),
+        ({"kind": "baro_bias", "floor_sd": 1.0}, "in which unit"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused(block, text):
+    tables = {"gnss": {}}
+    tables["filter"] = {"preset": "novik-2011", "block": [block]}
+    with pytest.raises(ConfigError, match=text):
+        Config.from_dict(tables)

@@ -36,8 +36,9 @@ def test_configuration_of_the_tutorial_is_valid(tmp_path):
 
 
 def test_scenario_of_the_how_to_is_valid(tmp_path):
-    (text,) = blocks("howto/simulate.md", "toml")
-    assert scenario_from_dict(tables(text, tmp_path)).name == "loop"
+    whole, aids = (tables(text, tmp_path) for text in blocks("howto/simulate.md", "toml"))
+    assert scenario_from_dict(whole).name == "loop"
+    assert scenario_from_dict(whole | aids).baro is not None
 
 
 def test_python_of_the_simulation_how_to_runs(capsys):

@@ -91,7 +91,8 @@ def test_the_folder_holds_the_promised_files_and_nothing_else(tmp_path):
     result().save(tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
-        "navigation.parquet", "measurements.parquet", "covariance.parquet", "events.csv", "state.bin", "run.toml",
+        "navigation.parquet", "measurements.parquet", "aids.parquet", "covariance.parquet", "events.csv", "state.bin",
+        "run.toml",
     }  # fmt: skip
     run = tomlkit.parse((tmp_path / "run.toml").read_text()).unwrap()
     assert run["run"]["seed"] == 1

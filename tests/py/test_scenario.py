@@ -40,8 +40,15 @@ def test_packaged_scenarios_load_and_survive_a_round_trip(name: str) -> None:
     assert scenario_from_dict(tomllib.loads(scenario_toml(scenario))) == scenario
 
 
-def test_the_three_packaged_scenarios_are_found_by_name() -> None:
-    assert scenario_names() == ["car-loop", "fomichev-tan-2017", "static"]
+def test_the_packaged_scenarios_are_found_by_name() -> None:
+    assert scenario_names() == [
+        "al-bitar-gavrilov-2019",
+        "car-loop",
+        "fomichev-tan-2017",
+        "novik-2011",
+        "static",
+        "vasilyuk-2019",
+    ]
 
 
 def test_a_scenario_is_read_from_a_file(tmp_path: Path) -> None:
@@ -53,7 +60,7 @@ def test_a_scenario_is_read_from_a_file(tmp_path: Path) -> None:
 def test_a_missing_file_and_an_unknown_name_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError):
         load_scenario(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="known: car-loop, fomichev-tan-2017, static") as caught:
+    with pytest.raises(ConfigError, match="known: al-bitar-gavrilov-2019, car-loop, fomichev") as caught:
         load_scenario("car-lop")
     assert 'nearest: "car-loop"' in caught.value.hint
 
@@ -198,6 +205,40 @@ def test_a_variant_changes_the_outages_and_an_unknown_one_is_refused() -> None:
         Simulator(scenario, outages=[(5.0, 3.0)])
     with pytest.raises(ConfigError, match="known: continuous, gaps"):
         Simulator(scenario, variant="gap")
+
+
+def test_a_variant_replaces_whole_tables_and_keeps_the_outages_unless_it_has_its_own() -> None:
+    tables = with_changes(
+        gnss={"rate_hz": 1.0, "position_sd_m": 1.0, "outages": [[1.0, 2.0]]},
+        imu={"error": [BIAS]},
+        sway=[{"axis": "roll", "amplitude_deg": 1.0, "period_s": 1.0}],
+        variant={
+            "calm": {"sway": []},
+            "open": {"outages": []},
+            "other": {"gnss": {"rate_hz": 2.0, "position_sd_m": 5.0, "outages": [[3.0, 4.0]]}},
+            "perfect": {"imu": {}},
+            "level": {"initial_error": MINIMAL["initial_error"] | {"attitude_sd_deg": 0.0}},
+            "high": {"baro": {"rate_hz": 1.0, "height_sd_m": 1.0}},
+        },
+    )
+    scenario = scenario_from_dict(tables)
+    assert Simulator(scenario, variant="calm").scenario.sway == ()
+    assert Simulator(scenario, variant="calm").outages == ((1.0, 2.0),)
+    assert Simulator(scenario, variant="open").outages == ()
+    assert Simulator(scenario, variant="open").scenario is scenario
+    assert Simulator(scenario, variant="other").outages == ((3.0, 4.0),)
+    assert len(Simulator(scenario, variant="other").run(1).dataset.gnss) == 18
+    assert Simulator(scenario, variant="perfect").run(1).truth_blocks == {}
+    assert not Simulator(scenario, variant="level").run(1).initial_error[:3].any()
+    assert len(Simulator(scenario, variant="high").run(1).dataset.baro) == 10
+    assert scenario.sway
+    assert scenario.baro is None
+
+
+def test_a_variant_is_checked_like_the_scenario() -> None:
+    error = refused(with_changes(variant={"a": {"imu": {"error": [BIAS | {"unit": "mg"}]}}}))
+    assert "not a unit" in error.message
+    assert "unknown key" in refused(with_changes(variant={"a": {"waypoint": []}})).message
 
 
 def test_a_negative_seed_is_refused() -> None:

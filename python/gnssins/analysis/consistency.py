@@ -8,8 +8,7 @@ one under-confident. Bar-Shalom, Li, Kirubarajan (2001), section 5.4.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +17,12 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from gnssins.analysis import text
-from gnssins.analysis.errors import NavErrors, Trajectory, compare
-from gnssins.errors import InputError
-from gnssins.tables import State
+from gnssins.analysis.errors import Trajectory
+from gnssins.analysis.states import Parameters, error_states, quadratic
 from gnssins.units import NS_PER_S
 
 if TYPE_CHECKING:
     from gnssins.result import Result
-    from gnssins.sim import Simulated
 
 __all__ = [
     "Nees",
@@ -41,40 +38,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Parameters:
-    """True block states over time.
-
-    Parameters
-    ----------
-    t_ns : ndarray of int64, shape (k,)
-        Epochs.
-    blocks : mapping of str to ndarray, shape (k, p)
-        True values by the name of the block, SI, columns in the order of its states.
-    """
-
-    t_ns: Times
-    blocks: Mapping[str, Array]
-
-    @classmethod
-    def of(cls, simulated: Simulated) -> Parameters:
-        """Take the true sensor errors of a simulated run."""
-        if simulated.dataset.truth is None:
-            raise InputError("input.no_truth", "the simulated run has no truth")
-        return cls(simulated.dataset.truth.t_ns, simulated.truth_blocks)
-
-    def by_state(self, states: Sequence[State]) -> dict[str, Array]:
-        """True values (k,) by name of the state, for the states whose block is known."""
-        found: dict[str, Array] = {}
-        seen: Counter[str] = Counter()
-        for state in states:
-            values = self.blocks.get(state.block)
-            if values is not None:
-                found[state.name] = values[:, seen[state.block]]
-                seen[state.block] += 1
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +71,15 @@ class NeesGroup:
         """Share of epochs inside the bounds; neighbouring epochs are correlated."""
         low, high = self.bounds
         return float(np.mean((self.value >= low) & (self.value <= high)))
+
+    @property
+    def verdict(self) -> str:
+        """Judge the mean over time by the bounds of one epoch.
+
+        Epochs are correlated to an unknown degree, and a mean of them never scatters more than one of them: an honest
+        filter passes at least as often as the probability of the bounds says.
+        """
+        return direction(self.mean, self.dof, self.bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,72 +259,12 @@ def nees(
     InputError
         No snapshots, or none at an epoch that result and truth share.
     """
-    if not result.covariance.t_ns.size:
-        raise InputError(
-            "input.no_covariance",
-            "the run kept no covariance matrices",
-            "set [run] covariance_interval_s",
-        )
-    found = compare(result, truth, ellipsoid=ellipsoid or str(result.metadata.get("ellipsoid", "wgs84")))
-    epochs, at_found, at_cov = np.intersect1d(
-        found.t_ns, result.covariance.t_ns, assume_unique=True, return_indices=True
-    )
-    epochs, at_result, again = np.intersect1d(result.t_ns, epochs, assume_unique=True, return_indices=True)
-    if not epochs.size:
-        raise InputError(
-            "input.no_overlap",
-            "no covariance snapshot at an epoch of both the result and the truth",
-            "make covariance_interval_s a multiple of the output interval, and the truth cover the run",
-        )
-    matrix = result.covariance.matrix[at_cov[again]]
-    known = parameters.by_state(result.block_states) if parameters is not None else {}
-    have = parameters.t_ns if parameters is not None else result.t_ns
-    x = _error_vector(result, found, at_found[again], at_result, have, known)
-    groups = {}
-    for name, index in _groups(result, known).items():
-        value = _quadratic(x[:, index], matrix[:, index][:, :, index])
-        groups[name] = NeesGroup(name, len(index), epochs, value, 1, probability)
+    found = error_states(result, truth, parameters, ellipsoid=ellipsoid)
+    groups = {
+        name: NeesGroup(name, len(index), found.t_ns, found.nees(index), 1, probability)
+        for name, index in found.groups.items()
+    }
     return Nees(groups)
-
-
-def _error_vector(
-    result: Result,
-    found: NavErrors,
-    at_found: NDArray[np.intp],
-    at_result: NDArray[np.intp],
-    have: Times,
-    known: Mapping[str, Array],
-) -> Array:
-    """True error state (c, n) with the signs of the covariance; NaN where a parameter is unknown."""
-    t_ns = result.t_ns[at_result]
-    blocks = np.full((t_ns.size, len(result.block_states)), np.nan)
-    for i, state in enumerate(result.block_states):
-        if state.name in known:
-            true = np.interp(t_ns - have[0], have - have[0], known[state.name])
-            blocks[:, i] = true - result.x[at_result, i]
-    return np.column_stack([found.phi[at_found], found.velocity[at_found], found.position[at_found], blocks])
-
-
-def _groups(result: Result, known: Mapping[str, Array]) -> dict[str, list[int]]:
-    """Indices of the states by group, unknown ones left out."""
-    groups: dict[str, list[int]] = {}
-    if result.block_states and all(s.name in known for s in result.block_states):
-        groups["all"] = list(range(len(result.states)))
-    groups["navigation"] = list(range(9))
-    groups["attitude"], groups["velocity"], groups["position"] = [0, 1, 2], [3, 4, 5], [6, 7, 8]
-    for i, state in enumerate(result.block_states, start=9):
-        if state.name in known:
-            groups.setdefault(state.block, []).append(i)
-    return groups
-
-
-def _quadratic(x: Array, matrix: Array) -> Array:
-    """x' P^-1 x of every row, P scaled to a correlation matrix first."""
-    sd = np.sqrt(np.einsum("kii->ki", matrix))
-    scaled = x / sd
-    correlation = matrix / (sd[:, :, None] * sd[:, None, :])
-    solved = np.linalg.solve(correlation, scaled[:, :, None])[:, :, 0]
-    return np.asarray(np.einsum("ki,ki->k", scaled, solved))
 
 
 def nis(result: Result, *, after_s: float | None = None, probability: float = 0.95) -> Nis:
@@ -370,12 +282,12 @@ def nis(result: Result, *, after_s: float | None = None, probability: float = 0.
     Returns
     -------
     Nis
-        Groups ``"gnss, n components"`` of whole fixes, then ``"position"``, ``"velocity"`` and the six axes.
+        Groups ``"gnss, n components"`` of whole fixes, then ``"position"``, ``"velocity"`` and the six axes, then the
+        aids beside GNSS by their source (``"baro"``, ``"heading"``).
     """
     r = result.records
-    keep = r.is_status("used", "rejected") & np.isfinite(r.nis)
-    if after_s is not None:
-        keep &= r.t_ns > round(after_s * NS_PER_S)
+    begin_ns = round(after_s * NS_PER_S) if after_s is not None else np.iinfo(np.int64).min
+    keep = r.is_status("used", "rejected") & np.isfinite(r.nis) & (r.t_ns > begin_ns)
     groups = {}
     for dof in np.unique(r.dof[keep]):
         values = r.nis[keep & (r.dof == dof)]
@@ -395,6 +307,10 @@ def nis(result: Result, *, after_s: float | None = None, probability: float = 0.
     for name, index in parts.items():
         rows = np.isfinite(y[:, index]).all(axis=1)
         if rows.any():
-            values = _quadratic(y[rows][:, index], s[rows][:, index][:, :, index])
+            values = quadratic(y[rows][:, index], s[rows][:, index][:, :, index])
             groups[name] = NisGroup(name, len(index), values.size, float(values.mean()), probability)
+    for source, aid in result.aids.items():
+        values = aid.nis[aid.is_status("used", "rejected") & np.isfinite(aid.nis) & (aid.t_ns > begin_ns)]
+        if values.size:
+            groups[source] = NisGroup(source, 1, values.size, float(values.mean()), probability)
     return Nis(groups)

@@ -101,6 +101,10 @@ class NavErrors:
             keep &= self.t_ns > round(start_s * NS_PER_S)
         if end_s is not None:
             keep &= self.t_ns <= round(end_s * NS_PER_S)
+        return self.rows(keep)
+
+    def rows(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> NavErrors:
+        """Only some of the epochs, by mask or by index."""
         return NavErrors(
             self.t_ns[keep],
             self.position[keep],

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -22,6 +21,7 @@ from gnssins.analysis.consistency import Nees, NeesGroup, NisGroup, Parameters, 
 from gnssins.analysis.errors import compare
 from gnssins.analysis.outages import Outage, outage_table
 from gnssins.config import Config
+from gnssins.parallel import ordered, submitted
 from gnssins.runner import as_config, run
 
 if TYPE_CHECKING:
@@ -195,32 +195,8 @@ def monte_carlo(
     config = as_config(config)
     work = partial(_one_run, simulator, config, seed, after_s)
     if executor is not None:
-        return _reduce(_ordered(executor, work, runs, 4 * (os.cpu_count() or 1), progress), seed, after_s)
-    jobs = jobs or os.cpu_count() or 1
-    with ThreadPoolExecutor(jobs) as pool:
-        return _reduce(_ordered(pool, work, runs, 2 * jobs, progress), seed, after_s)
-
-
-def _ordered(
-    pool: Executor,
-    work: Callable[[int], _Summary],
-    runs: int,
-    ahead: int,
-    progress: Callable[[float], None] | None,
-) -> Iterator[_Summary]:
-    """Results in the order of the runs, at most ``ahead`` of them started and not yet taken."""
-    indices = iter(range(runs))
-    waiting = [pool.submit(work, k) for k in islice(indices, ahead)]
-    try:
-        for done in range(1, runs + 1):
-            result = waiting.pop(0).result()
-            waiting += [pool.submit(work, k) for k in islice(indices, 1)]
-            if progress is not None:
-                progress(done / runs)
-            yield result
-    finally:
-        for future in waiting:
-            future.cancel()
+        return _reduce(submitted(executor, work, runs, 4 * (os.cpu_count() or 1), progress), seed, after_s)
+    return _reduce(ordered(work, runs, jobs or os.cpu_count() or 1, progress), seed, after_s)
 
 
 def _one_run(simulator: Simulator, config: Config, seed: int, after_s: float, index: int) -> _Summary:

@@ -76,13 +76,14 @@ def simulate(scenario: str, out: Path | None, seed: int, variant: str | None, as
     simulated = simulate_run(model, seed, variant=variant)
     files = write_simulation(simulated, folder)
     imu, gnss = simulated.dataset.imu, simulated.dataset.gnss
+    aids = {"heights": len(simulated.dataset.baro), "headings": len(simulated.dataset.heading)}
     if as_json:
-        counts = {"imu": len(imu), "gnss": len(gnss)}
+        counts = {"imu": len(imu), "gnss": len(gnss), "baro": aids["heights"], "heading": aids["headings"]}
         put_json({"scenario": simulated.scenario.name, "seed": seed, "rows": counts, "files": files})
         return
-    put(
-        f"{simulated.scenario.name}, seed {seed}: {len(imu)} IMU rows over {imu.duration_s:.1f} s, {len(gnss)} fixes"
-    )
+    rows = [f"{len(imu)} IMU rows over {imu.duration_s:.1f} s", f"{len(gnss)} fixes"]
+    rows += [f"{count} {name}" for name, count in aids.items() if count]
+    put(f"{simulated.scenario.name}, seed {seed}: {', '.join(rows)}")
     for file in files:
         put(f"  {file}")
     put(f"Next: gnssins run {files[-1]}")

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from .. import units
 from .base import InputPath, Positive, Problem, Section, Separator, refuse
-from .gnss import gate
+from .gnss import accept_gate
 
 
 class _AidConfig(Section):
@@ -26,7 +26,7 @@ class _AidConfig(Section):
         ge=-10_000.0,
         le=10_000.0,
     )
-    gate_probability: Annotated[float | Literal["off"], BeforeValidator(gate)] = Field(
+    gate_probability: Annotated[float | Literal["off"], BeforeValidator(accept_gate)] = Field(
         default=0.999,
         description="Chi-square gate: a value that a right filter would see less often than 1 - p is rejected; "
         'or "off"',

@@ -106,7 +106,6 @@ def _merge_block(base: Mapping[str, Any], own: BlockConfig) -> dict[str, Any]:
         "psd": [value**2 for value in walk] if walk else None,
         "sd": own.values("sd"),
         "tau_s": [own.tau_s] * size if own.tau_s is not None else None,
-        "distance_m": own.distance_m,
     }
     inherited = base if process == base["process"] else {"initial_sd": base.get("initial_sd")}
     merged: dict[str, Any] = {"kind": own.kind, "name": base["name"], "process": process}
@@ -116,12 +115,11 @@ def _merge_block(base: Mapping[str, Any], own: BlockConfig) -> dict[str, Any]:
         merged["initial_sd"] = merged["sd"]
     if merged["initial"] is None:
         merged["initial"] = [0.0] * size
-    if process == "gauss_markov":
-        merged["distance_m"] = own.distance_m if own.distance_m is not None else inherited.get("distance_m")
-    for key in _BOUNDS:
-        values = own.values(key)
-        merged[key] = values if values is not None else base.get(key, [])
-    return merged
+    optional = {
+        "distance_m": own.distance_m if own.distance_m is not None else inherited.get("distance_m"),
+        **{key: own.values(key) or base.get(key) for key in _BOUNDS},
+    }
+    return merged | {key: value for key, value in optional.items() if value}
 
 
 def _incomplete(block: Mapping[str, Any], where: str) -> list[Problem]:

@@ -33,7 +33,7 @@ def _reacquire(value: Any) -> Any:
     )
 
 
-def gate(value: Any) -> Any:
+def accept_gate(value: Any) -> Any:
     """Accept a probability below 1, or the word off."""
     if value == "off" or (is_number(value) and 0.0 < value < 1.0):
         return value
@@ -128,7 +128,7 @@ class GnssConfig(Section):
         ge=-10_000.0,
         le=10_000.0,
     )
-    gate_probability: Annotated[float | Literal["off"], BeforeValidator(gate)] = Field(
+    gate_probability: Annotated[float | Literal["off"], BeforeValidator(accept_gate)] = Field(
         default=0.999,
         description="Chi-square gate: a fix that a right filter would see less often than 1 - p is rejected; "
         'or "off"',

@@ -9,6 +9,7 @@ from gnssins.plots.blocks import biases
 from gnssins.plots.errors import attitude_errors, position_errors, velocity_errors
 from gnssins.plots.ground import track
 from gnssins.plots.inertial import schuler
+from gnssins.plots.observability import observability
 from gnssins.plots.style import save
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "biases",
     "innovations",
     "nis",
+    "observability",
     "position_errors",
     "save",
     "schuler",

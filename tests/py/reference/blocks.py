@@ -26,18 +26,21 @@ class Block:
     psd: Array
     sd: Array
     tau: Array
+    distance: float
+    jump_sd: Array
+    floor_sd: Array
 
-    def decay(self, dt: float) -> Array:
-        """Transition of the block's states over dt (s)."""
-        return np.exp(-dt / self.tau)
+    def decay(self, dt: float, speed: float) -> Array:
+        """Transition of the block's states over dt (s) at a ground speed (m/s)."""
+        return np.exp(-dt * (1.0 / self.tau + speed / self.distance))
 
-    def variance_step(self, dt: float) -> Array:
+    def variance_step(self, dt: float, speed: float) -> Array:
         """Process noise variance over dt (s), for the trapezoid form of the prediction.
 
         Gauss-Markov: 2 sd^2 (1 - d^2) / (1 + d^2) makes sd^2 a fixed point of P = d^2 (P + Q/2) + Q/2.
         """
         if self.process == "gauss_markov":
-            d2 = self.decay(dt) ** 2
+            d2 = self.decay(dt, speed) ** 2
             return 2.0 * self.sd**2 * (1.0 - d2) / (1.0 + d2)
         return self.psd * dt
 
@@ -61,6 +64,9 @@ def blocks_of(config: dict[str, Any]) -> list[Block]:
                 per_state("psd", 0.0),
                 per_state("sd", 0.0),
                 per_state("tau_s", np.inf),
+                item.get("distance_m", np.inf),
+                per_state("jump_sd", 0.0),
+                per_state("floor_sd", 0.0),
             )
         )
         start += k

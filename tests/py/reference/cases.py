@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import scenario
+from .attitude import quat_to_euler
 from .strapdown import NavState
 
 Array = NDArray[Any]
@@ -190,6 +191,39 @@ def ned40() -> tuple[dict[str, Any], dict[str, Array], dict[str, Array]]:
     cfg = config(start, blocks, gnss=gnss, **change)
     cfg |= {"phi_order": 2, "gravity": "vertical"}
     return cfg, *_record(truth, gyro, accel, pos, vel, np.tile(var, (10, 1, 1)))
+
+
+def ned22() -> tuple[dict[str, Any], dict[str, Array], dict[str, Array], dict[str, dict[str, Array]]]:
+    """22 states with barometer, headings, errors correlated over the way, jumps, floors and a gate by parts."""
+    truth, start, change, gyro, accel, var, rng = _low_cost(22, 30.0)
+    lever = np.array([0.85, 0.1, -1.2])
+    pos, vel = scenario.fixes(truth, rng, lever, var, np.array([2.0, -1.0, 3.0, 0.02, 0.0, -0.01]))
+    pos[3, 0] += 80.0 / 6.38e6  # position refused, velocity kept
+    vel[6, 1] += 3.0  # and the other way round
+    blocks = [
+        block("gyro_bias", "random_walk", 40 * DEG_H, psd=(3 * DEG_H) ** 2 / 100.0, floor_sd=35 * DEG_H),
+        block("accel_bias", "gauss_markov", 4 * MILLI_G, sd=4 * MILLI_G, tau_s=300.0),
+        block("baro_bias", "random_walk", 4.0, size=1, psd=0.035**2, floor_sd=0.5),
+        block("gnss_position_error", "gauss_markov", 3.0, sd=3.0, tau_s=20.0, jump_sd=2.0),
+        block("gnss_velocity_error", "gauss_markov", 0.05, sd=0.05, tau_s=5.0, jump_sd=0.02),
+    ]
+    blocks[3] |= {"distance_m": 500.0, "sd": [3.0, 3.0, 4.0], "initial_sd": [3.0, 3.0, 4.0]}
+    gnss = {"lever_b_m": lever.tolist(), "gate_probability": 0.9999, "gate": "parts"}
+    cfg = config(start, blocks, gnss=gnss, **change)
+    cfg["baro"] = {"latency_ns": 0, "gate_probability": 0.9999}
+    cfg["heading"] = {"latency_ns": 0, "gate_probability": None}
+    cfg["floor"] = {"phi": [1e-3, 1e-3, 3e-3], "v": [0.02, 0.02, 0.01], "p": [0.0, 0.0, 0.4]}
+    imu, table = _record(truth, gyro, accel, pos, vel, np.tile(var, (10, 1, 1)))
+    table["new"] = np.arange(10) % 4 == 2
+    steps = np.arange(20, scenario.STEPS + 1, 30)
+    height = np.array([truth.states[k].h for k in steps]) + 5.0 + 0.4 * rng.standard_normal(steps.size)
+    height[11] += 40.0  # refused
+    baro = {"t_ns": steps * scenario.DT_NS, "value": height, "var": np.full(steps.size, 0.16)}
+    steps = np.arange(50, scenario.STEPS + 1, 50)  # every other one together with a fix
+    yaw = np.array([quat_to_euler(truth.states[k].q)[2] for k in steps])
+    yaw = yaw + np.radians(0.3) * rng.standard_normal(steps.size)
+    heading = {"t_ns": steps * scenario.DT_NS, "value": yaw, "var": np.full(steps.size, np.radians(0.3) ** 2)}
+    return cfg, imu, table, {"baro": baro, "heading": heading}
 
 
 CASES = {"ned18": ned18, "ned21": ned21, "ned40": ned40}

@@ -87,7 +87,11 @@ class ReferenceFilter:
         phi, q = self.discretise(mid, dt)
         self.p = kalman.predict(self.p, phi, q)
         for b in self.blocks:
-            self.x[b.at] *= b.decay(dt)
+            self.x[b.at] *= b.decay(dt, self.ground_speed())
+
+    def ground_speed(self) -> float:
+        """Horizontal speed (m/s) at the end of the interval."""
+        return float(np.hypot(self.nav.v[0], self.nav.v[1]))
 
     def dense_f(self, mid: Midpoint) -> Array:
         """Continuous F (n, n) of navigation errors and blocks at the middle of the last interval."""
@@ -112,8 +116,8 @@ class ReferenceFilter:
         q[:3, :3] = mid.c @ np.diag(imu["gyro_psd"]) @ mid.c.T * dt
         q[3:6, 3:6] = mid.c @ np.diag(imu["accel_psd"]) @ mid.c.T * dt
         for b in self.blocks:
-            phi[b.at, b.at] = np.diag(b.decay(dt))
-            q[b.at, b.at] = np.diag(b.variance_step(dt))
+            phi[b.at, b.at] = np.diag(b.decay(dt, self.ground_speed()))
+            q[b.at, b.at] = np.diag(b.variance_step(dt, self.ground_speed()))
         return phi, q
 
     # ---- update -----------------------------------------------------------------------------------------
@@ -159,12 +163,63 @@ class ReferenceFilter:
         record["innovation_cov"] = np.full((6, 6), np.nan)
         record["innovation_cov"][np.ix_(rows, rows)] = s
         gate = self.cfg["gnss"]["gate_probability"]
-        if gate is not None and nis > scipy.stats.chi2.ppf(gate, len(rows)):
+        if gate is not None and self.cfg["gnss"].get("gate") == "parts":
+            rows = self.passing_parts(record, rows, gate)
+            if not len(rows):
+                record["status"] = REJECTED
+                return record
+            x, p, _, _ = kalman.update(self.p, y[rows], h[rows], r[np.ix_(rows, rows)])
+        elif gate is not None and nis > scipy.stats.chi2.ppf(gate, len(rows)):
             record["status"] = REJECTED
             return record
-        self.p = p
-        self.inject(x)
+        self.take(x, p)
         return record
+
+    def passing_parts(self, record: dict[str, Any], rows: Array, gate: float) -> Array:
+        """Rows of position and of velocity, each kept if its own innovation passes."""
+        kept = []
+        for part in (rows[rows < 3], rows[rows >= 3]):
+            y, s = record["innovation"][part], record["innovation_cov"][np.ix_(part, part)]
+            if len(part) and y @ np.linalg.solve(s, y) <= scipy.stats.chi2.ppf(gate, len(part)):
+                kept += list(part)
+        return np.array(kept, dtype=int)
+
+    def jump(self) -> None:
+        """Another constellation: the correlated errors jump."""
+        for b in self.blocks:
+            self.p[b.at, b.at] += np.diag(b.jump_sd**2)
+
+    def scalar(self, kind: str, value: float, var: float) -> dict[str, Any]:
+        """One height (m) or heading (rad) of variance var: gate, update, injection; returns the record."""
+        h = np.zeros((1, self.n))
+        if kind == "baro":
+            h[0, 8] = -1.0  # height is minus down
+            y = self.nav.h - value
+            for b in self.blocks:
+                if b.kind == "baro_bias":
+                    h[0, b.at] = -1.0
+                    y += float(self.x[b.at][0])
+        else:
+            _, pitch, yaw = att.quat_to_euler(self.nav.q)
+            # the estimate is turned by -phi, of which its heading takes the part about down and the tilt's share
+            h[0, :3] = [-np.tan(pitch) * np.cos(yaw), -np.tan(pitch) * np.sin(yaw), -1.0]
+            y = earth.wrap(yaw - value)
+        x, p, s, nis = kalman.update(self.p, np.array([y]), h, np.array([[var]]))
+        record = {"status": USED, "nis": nis, "innovation": -y, "variance": s[0, 0]}
+        gate = self.cfg[kind]["gate_probability"]
+        if gate is not None and nis > scipy.stats.chi2.ppf(gate, 1):
+            record["status"] = REJECTED
+            return record
+        self.take(x, p)
+        return record
+
+    def take(self, x: Array, p: Array) -> None:
+        """Posterior with its lower bounds, then injection."""
+        self.p = p
+        floor = self.cfg.get("floor", {"phi": [0.0] * 3, "v": [0.0] * 3, "p": [0.0] * 3})
+        sd = np.concatenate([floor["phi"], floor["v"], floor["p"], *(b.floor_sd for b in self.blocks)])
+        np.fill_diagonal(self.p, np.maximum(np.diag(self.p), sd**2))
+        self.inject(x)
 
     def inject(self, x: Array) -> None:
         """Subtract the navigation errors, add the block states (n,), turn the attitude covariance."""
@@ -184,7 +239,12 @@ class ReferenceFilter:
         self.p = g @ self.p @ g.T
 
 
-def run(config: dict[str, Any], imu: dict[str, Array], gnss: dict[str, Array]) -> dict[str, Any]:
+def run(
+    config: dict[str, Any],
+    imu: dict[str, Array],
+    gnss: dict[str, Array],
+    aids: dict[str, dict[str, Array]] | None = None,
+) -> dict[str, Any]:
     """Whole record through the reference filter.
 
     Parameters
@@ -194,16 +254,22 @@ def run(config: dict[str, Any], imu: dict[str, Array], gnss: dict[str, Array]) -
     imu : dict
         ``t_ns`` (n,), ``gyro`` (n, 3), ``accel`` (n, 3); row 0 at the initial time is the start.
     gnss : dict
-        ``t_ns`` (m,), each equal to an IMU time, ``pos`` (m, 3), ``vel`` (m, 3), ``var`` (m, 6) or (m, 6, 6).
+        ``t_ns`` (m,), each equal to an IMU time, ``pos`` (m, 3), ``vel`` (m, 3), ``var`` (m, 6) or (m, 6, 6), and
+        perhaps ``new`` (m,), rows with another constellation.
+    aids : dict, optional
+        ``baro`` and ``heading`` with ``t_ns``, ``value``, ``var``, shapes (k,), at IMU times; fused after GNSS.
 
     Returns
     -------
     dict
-        ``t_ns``, ``lla``, ``v_n``, ``q_nb``, ``x``, ``cov`` after each IMU row and its update; ``meas`` list.
+        ``t_ns``, ``lla``, ``v_n``, ``q_nb``, ``x``, ``cov`` after each IMU row and its update; records as lists:
+        ``meas`` and one per aid.
     """
     filt = ReferenceFilter(config)
     filt.last_raw = (imu["gyro"][0], imu["accel"][0])
-    out: dict[str, list[Any]] = {k: [] for k in ("t_ns", "lla", "v_n", "q_nb", "x", "cov", "meas")}
+    out: dict[str, list[Any]] = {
+        k: [] for k in ("t_ns", "lla", "v_n", "q_nb", "x", "cov", "meas", *(aids or {}))
+    }
     row = 0
     for k in range(len(imu["t_ns"])):
         if k > 0:
@@ -211,9 +277,14 @@ def run(config: dict[str, Any], imu: dict[str, Array], gnss: dict[str, Array]) -
             filt.imu(dt, imu["gyro"][k], imu["accel"][k])
         while row < len(gnss["t_ns"]) and gnss["t_ns"][row] == imu["t_ns"][k]:
             var = gnss["var"][row]
+            if "new" in gnss and gnss["new"][row]:
+                filt.jump()
             r = np.diag(var) if var.ndim == 1 else var
             out["meas"].append(filt.gnss(gnss["pos"][row], gnss["vel"][row], r))
             row += 1
+        for kind, table in (aids or {}).items():
+            for j in np.flatnonzero(table["t_ns"] == imu["t_ns"][k]):
+                out[kind].append(filt.scalar(kind, table["value"][j], table["var"][j]))
         s = filt.nav
         out["t_ns"].append(int(imu["t_ns"][k]))
         out["lla"].append([s.lat, s.lon, s.h])
@@ -223,4 +294,5 @@ def run(config: dict[str, Any], imu: dict[str, Array], gnss: dict[str, Array]) -
         out["cov"].append(filt.p.copy())
     if row != len(gnss["t_ns"]):
         raise ValueError(f"GNSS row {row} is not at an IMU time")
-    return {k: v if k == "meas" else np.array(v) for k, v in out.items()}
+    records = ("meas", *(aids or {}))
+    return {k: v if k in records else np.array(v) for k, v in out.items()}

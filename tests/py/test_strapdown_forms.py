@@ -276,7 +276,7 @@ def test_what_the_printed_equations_do():
     w_ie = earth.WGS84.omega * np.stack([c, zero, -s], axis=-1)
     w_en = np.stack([v[:, 1] / (rn + h), -v[:, 0] / (rm + h), -v[:, 1] * s / c / (rn + h)], axis=-1)
     reversed_coriolis = 2.0 * np.cross(2.0 * w_ie + w_en, v)
-    assert np.abs(reversed_coriolis[:, 0]).max() == pytest.approx(0.082, abs=0.001)
+    assert np.abs(reversed_coriolis[:, 1]).max() == pytest.approx(0.082, abs=0.001)
     assert np.linalg.norm(reversed_coriolis, axis=1).max() == pytest.approx(0.108, abs=0.001)
     # initial quaternion: yaw about the second axis (up), pitch about the third, against the formula of an NED frame
     yaw, pitch, roll = np.radians([-60.0, 5.0, 3.0]) / 2.0

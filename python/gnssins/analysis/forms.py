@@ -47,7 +47,7 @@ DIVISORS: Final = ((1, 1), (1, 10), (1, 50), (2, 10), (5, 10), (10, 10))
 
 
 def agile_flight(duration_s: float = 900.0, rate_hz: float = 100.0) -> Trajectory:
-    """Make a flight that tells the forms apart: banks to 55 deg, slopes to 20 deg, body rates to 1.7 rad/s.
+    """Make a flight that tells the forms apart: banks to 77 deg, pitch to 28 deg, body rates to 2.6 rad/s.
 
     An aircraft of 60 m/s from 55 deg north; turns of 12 deg/s alternate with climbs and descents, and the attitude
     sways about all three axes throughout, so that small rotations about different axes follow each other.

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from gnssins import _core
 from gnssins.analysis.errors import ned_difference
-from gnssins.dataset import Dataset, ImuTable
+from gnssins.dataset import Dataset
 from gnssins.errors import ConfigError, InputError
+from gnssins.increments import increments_after, joined, output_rows
 from gnssins.result import STATUS, WITHHELD, Covariance, Records, Result
 from gnssins.runner import Start, as_initial, versions
 from gnssins.tables import State, wrap_pi
@@ -39,9 +40,6 @@ Vertical = Literal["free", "gnss", "baro"]
 
 #: All modes.
 MODES: Final[tuple[Mode, ...]] = get_args(Mode)
-
-#: Readings of an outer height further apart than so many usual intervals are not joined.
-LONGEST_STEP: Final = 2.5
 
 _USED, _REJECTED, _LATE, _BAD = (STATUS.index(name) for name in ("used", "rejected", "late", "bad"))
 _NAVIGATION: Final = tuple(
@@ -221,7 +219,7 @@ class _Run:
     ) -> None:
         self.start, self.setup = start, setup
         self.imu_rows = len(dataset.imu)
-        self.t_ns, self.dtheta, self.dvel = _increments(dataset.imu, start.t_ns)
+        self.t_ns, self.dtheta, self.dvel = increments_after(dataset.imu, start.t_ns)
         self.gnss = dataset.gnss
         self.valid_ns = self.gnss.t_ns - setup.latency_ns
         self.meta = dataset.meta
@@ -362,7 +360,7 @@ class _Run:
             return None
         if self.setup.vertical == "gnss":
             keep = np.isfinite(self.gnss.lla[:, 2]) & ~self._held()
-            return _joined(self.t_ns, self.valid_ns[keep], self.gnss.lla[keep, 2] + self.setup.lever_b[2])
+            return joined(self.t_ns, self.valid_ns[keep], self.gnss.lla[keep, 2] + self.setup.lever_b[2])
         if given is None:
             given = dataset.baro.t_ns, dataset.baro.height_m
         if not given[0].size:
@@ -371,10 +369,10 @@ class _Run:
                 'vertical = "baro", but there are no height readings',
                 'give height=(t_ns, height_m), or use vertical = "gnss"',
             )
-        return _joined(self.t_ns, given[0], given[1])
+        return joined(self.t_ns, given[0], given[1])
 
     def _result(self) -> Result:
-        rows = _output_rows(self.t_ns, self.setup.interval_ns)
+        rows = output_rows(self.t_ns, self.setup.interval_ns)
         t_ns, q_nb = self.t_ns[rows], np.ascontiguousarray(self.q_nb[rows])
         seen = np.arange(len(self.gnss))
         counts = {name: int((self.status == i).sum()) for i, name in enumerate(STATUS)}
@@ -433,49 +431,3 @@ class _Run:
             "outages_ns": [list(window) for window in setup.windows_ns],
             "separated": about,
         }
-
-
-def _increments(imu: ImuTable, start_ns: int) -> tuple[Times, Array, Array]:
-    """Increments after the start: stamps (n,), angles (n, 3), velocities (n, 3); a cut interval gives its share."""
-    first = int(np.searchsorted(imu.t_ns, start_ns, side="right"))
-    if first >= len(imu):
-        raise InputError(
-            "input.empty",
-            f"no IMU row after the initial state at {start_ns / NS_PER_S:.3f} s",
-            "the initial state must lie within the IMU log",
-        )
-    t_ns = imu.t_ns[first:]
-    before_ns = np.concatenate([[imu.t_ns[first - 1] if first else start_ns], t_ns[:-1]])
-    whole_s = ((t_ns - before_ns) / NS_PER_S)[:, None]
-    columns = []
-    for values in (imu.gyro, imu.accel):
-        part = values[first:]
-        if imu.kind == "rates":
-            part = 0.5 * (part + np.vstack([values[max(first - 1, 0)], part[:-1]]))
-        columns.append(part if imu.kind == "increments" else part * whole_s)
-    if first and before_ns[0] < start_ns:
-        share = (t_ns[0] - start_ns) / (t_ns[0] - before_ns[0])
-        columns = [np.vstack([share * column[:1], column[1:]]) for column in columns]
-    return t_ns, np.ascontiguousarray(columns[0]), np.ascontiguousarray(columns[1])
-
-
-def _joined(t_ns: Times, have_ns: Times, values: Array) -> Array:
-    """Readings joined by straight lines, NaN outside of them and across their gaps."""
-    if have_ns.size < 2:
-        return np.full(t_ns.size, np.nan)
-    out = np.interp(t_ns - have_ns[0], have_ns - have_ns[0], values, left=np.nan, right=np.nan)
-    step = np.diff(have_ns)
-    after = np.clip(np.searchsorted(have_ns, t_ns), 1, have_ns.size - 1)
-    if not np.isfinite(values).all():
-        return _joined(t_ns, have_ns[np.isfinite(values)], values[np.isfinite(values)])
-    apart = step[after - 1] > LONGEST_STEP * np.median(step)
-    return np.asarray(np.where(apart & (t_ns != have_ns[after]), np.nan, out))
-
-
-def _output_rows(t_ns: Times, interval_ns: int) -> NDArray[np.intp] | slice:
-    """Last row at or before every multiple of the interval; all rows for 0."""
-    if interval_ns <= 0:
-        return slice(None)
-    multiple = -(-t_ns // interval_ns)
-    step = np.flatnonzero(np.diff(multiple) > 0)
-    return np.asarray(np.append(step, t_ns.size - 1) if t_ns[-1] % interval_ns == 0 else step)

@@ -128,6 +128,7 @@ impl Strap {
     }
 
     /// As [`Strap::from_increments`], with what `coning` uses of it.
+    #[inline]
     #[must_use]
     pub fn compensated(now: &ImuDelta, previous: Option<&ImuDelta>, coning: Coning) -> Self {
         let mut strap = Self::from_increments(now, previous.filter(|_| coning != Coning::OneSample));

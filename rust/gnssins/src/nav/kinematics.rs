@@ -89,7 +89,7 @@ impl AttitudeForm {
     /// # Errors
     /// [`Error::AttitudeForm`] where a form does not hold: pitch beyond [`EULER_PITCH_LIMIT_RAD`] in the Euler form,
     /// a turn beyond [`TURN_LIMIT_RAD`] in any but the exact one. [`Error::NonFinite`] for input that is not finite.
-    #[inline]
+    #[inline(always)]
     pub fn advance(
         self,
         q_nb: &UnitQuaternion<f64>,
@@ -102,6 +102,8 @@ impl AttitudeForm {
         self.advance_by_series(q_nb, alpha, zeta)
     }
 
+    #[cold]
+    #[inline(never)]
     fn advance_by_series(
         self,
         q_nb: &UnitQuaternion<f64>,

@@ -201,7 +201,7 @@ impl NavModel for Ned {
         Self::check(&position, &v_new, &q_nb)?;
         let c_new = attitude::dcm(&q_nb);
         let dynamics = self.dynamics_at(&point, &v_mean, &(dv_f / dt), &(0.5 * (self.c_nb + c_new)));
-        *self = Self { position, v_n: v_new, q_nb, c_nb: c_new, ..*self };
+        (self.position, self.v_n, self.q_nb, self.c_nb) = (position, v_new, q_nb, c_new);
         Ok(dynamics)
     }
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from gnssins.result import Result
     from gnssins.runner import run
     from gnssins.sim import Simulated, Simulator, simulate
+    from gnssins.uncoupled import separated
 
 __all__ = [
     "BaroTable",
@@ -55,6 +56,7 @@ __all__ = [
     "reproduce",
     "result",
     "run",
+    "separated",
     "sim",
     "simulate",
 ]
@@ -79,6 +81,7 @@ _HOME = {
     "preset_names": "config",
     "read_dataset": "io",
     "run": "runner",
+    "separated": "uncoupled",
     "simulate": "sim",
 }
 

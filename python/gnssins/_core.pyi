@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "FreeIns",
     "Navigator",
     "aiding_jacobians",
     "dcm_to_quat",
@@ -32,6 +33,7 @@ __all__ = [
     "rotvec_to_quat",
     "run",
     "strapdown",
+    "strapdown_three_rate",
     "version",
 ]
 
@@ -232,6 +234,46 @@ class Navigator:
     def counts(self) -> dict[str, dict[str, int]]:
         """Rows by source: in, used, rejected, late, bad."""
 
+@final
+class FreeIns:
+    """A free INS that is fed in pieces: state and memory of the increments stay between them.
+
+    With an outer height the vertical channel is held to it, or damped by a third-order loop with the time constant
+    ``vertical_tau_s``.
+    """
+
+    def __new__(
+        cls,
+        model: str,
+        ellipsoid: str,
+        gravity: str,
+        coning: str,
+        t_ns: int,
+        lla0: _Vector,
+        v0: _Vector,
+        q0: _Vector,
+        *,
+        attitude_form: str = "rotation-vector",
+        vertical_tau_s: float | None = None,
+    ) -> FreeIns: ...
+    @property
+    def t_ns(self) -> int:
+        """Time of the state, ns."""
+
+    def state(self) -> tuple[_F, _F, _F]:
+        """Return position (3,), velocity NED (3,) and attitude (4,)."""
+
+    def restart(
+        self, lla: _Vector | None = None, v_n: _Vector | None = None, q_nb: _Vector | None = None
+    ) -> None:
+        """Replace position (rad, rad, m), velocity (m/s) or attitude; what is left out stays."""
+
+    def run(self, t_ns: _I, dtheta: _F, dvel: _F, height: _F | None = None) -> tuple[_F, _F, _F]:
+        """Integrate increments up to the stamps (n,); one row of position, velocity, attitude per stamp.
+
+        ``height`` (n,) is the outer height at the stamps, m; NaN where there is none.
+        """
+
 def radii(lat: _F, ellipsoid: str) -> _F:
     """Radii of curvature R_M, R_N (m), shape (k, 2), at latitudes (rad) (k,). Groves (2013), eq. 2.105-2.106."""
 
@@ -276,10 +318,34 @@ def strapdown(
     lla0: _Vector,
     v0: _Vector,
     q0: _Vector,
+    *,
+    attitude_form: str = "rotation-vector",
 ) -> tuple[_F, _F, _F]:
     """Integrate increments without aids; row 0 is the start, row k leads there from row k-1.
 
-    Returns position (n, 3), velocity NED (n, 3) and attitude (n, 4).
+    ``attitude_form`` is "rotation-vector" (exact), "euler", "dcm", "quaternion", "picard" or "two-quaternions"; all but
+    the first need the model "ned". Returns position (n, 3), velocity NED (n, 3) and attitude (n, 4).
+    """
+
+def strapdown_three_rate(
+    ellipsoid: str,
+    gravity: str,
+    coning: str,
+    attitude_form: str,
+    divisors: tuple[int, int],
+    gather: str,
+    t_ns: _I,
+    dtheta: _F,
+    dvel: _F,
+    lla0: _Vector,
+    v0: _Vector,
+    q0: _Vector,
+) -> tuple[_F, _F, _F]:
+    """Integrate increments in the NED model in three rates; rows as in :func:`strapdown`.
+
+    Attitude is stepped at every sample, velocity at every ``divisors[0]``-th, position, gravity and the rates of the
+    navigation axes at every ``divisors[1]``-th velocity step; in between the rows repeat the last value. ``gather``:
+    "body" sums the velocity increments in body axes and turns them once, "navigation" turns each by itself.
     """
 
 def invert_strapdown(

@@ -231,6 +231,52 @@ def outages(
     command.outages(config, windows, at, reference, seed, json)
 
 
+@app.command(
+    epilog="Example: gnssins budget --position 5 --outage 100 --accel-ug 25 --gyro-deg-h 0.003",
+    help="Show which accelerometer and gyro errors a position requirement allows for an outage of GNSS.\n\n"
+    "With the errors of given sensors: how long an outage they bridge. One horizontal channel, constant errors.",
+)
+def budget(
+    position: Annotated[
+        float, typer.Option(metavar="METRES", help="Largest position error of one horizontal axis.")
+    ] = 5.0,
+    outage: Annotated[
+        list[float] | None,
+        typer.Option(metavar="SECONDS", help="Length of the outage; may be repeated. Default: 10 s to 1 h."),
+    ] = None,
+    accel_ug: Annotated[
+        float | None, typer.Option(metavar="UG", help="Constant error of the accelerometer, micro-g.")
+    ] = None,
+    gyro_deg_h: Annotated[
+        float | None, typer.Option(metavar="DEG/H", help="Constant drift of the gyro, deg/h.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Show which accelerometer and gyro errors a position requirement allows for an outage of GNSS."""
+    from gnssins.commands import inertial
+
+    inertial.budget(position, outage, accel_ug, gyro_deg_h, json)
+
+
+@app.command(
+    epilog="Example: gnssins schuler --out schuler",
+    help="Show how single errors grow in an INS without GNSS: tilt, gyro, velocity, accelerometer.\n\n"
+    "The full equations of a vehicle at rest, height held, beside the 84-minute pendulum. With --out: table, curves as "
+    "CSV and a figure.",
+)
+def schuler(
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for table, curves and figure.")
+    ] = None,
+    lat: Annotated[float, typer.Option(metavar="DEG", help="Latitude.")] = 55.0,
+    json: Json = False,
+) -> None:
+    """Show how single errors grow in an INS without GNSS: tilt, gyro, velocity, accelerometer."""
+    from gnssins.commands import inertial
+
+    inertial.schuler(out, lat, json)
+
+
 def main() -> None:
     """Run the command line and leave with 0 (done), 1 (something the user can change) or 2 (a bug)."""
     sys.exit(_guarded())

@@ -19,6 +19,7 @@ _DEFAULTS: Mapping[str, Any] = {
     "ellipsoid": "wgs84",
     "gravity": "normal",
     "coning": "two-sample",
+    "attitude_form": "rotation-vector",
     "phi_order": 3,
 }
 _IDENTITY_ERROR = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
@@ -162,6 +163,11 @@ def filter_problems(config: Config) -> list[Problem]:
                 "imu.accel",
             )
         )
+    settings = filter_settings(config, preset)
+    if settings["model"] == "ecef" and settings["attitude_form"] != "rotation-vector":
+        text = 'the ECEF model has attitude_form = "rotation-vector" only'
+        hint = 'set model = "ned", or leave attitude_form out'
+        problems.append(Problem("config.conflict", text, hint, "filter.attitude_form"))
     _, incomplete = merge_blocks(config.filter.block, preset)
     return problems + [Problem(p.code, p.text, p.hint, f"filter.{p.key}") for p in incomplete]
 

@@ -238,10 +238,19 @@ class FilterConfig(Section):
         description="Terms of the transition matrix series, 1 to 3; left out: as in the preset, else 3",
         examples=[3],
     )
-    coning: Literal["two-sample", "one-sample"] | None = Field(
+    coning: Literal["two-sample", "one-sample", "third-order"] | None = Field(
         default=None,
-        description="Coning and sculling compensation; left out: as in the preset, else two-sample",
+        description="Coning and sculling compensation of increments; third-order: two-sample with one more term of the "
+        "turn within an interval, for fast turns; left out: as in the preset, else two-sample",
         examples=["two-sample"],
+    )
+    attitude_form: (
+        Literal["rotation-vector", "euler", "dcm", "quaternion", "picard", "two-quaternions"] | None
+    ) = Field(
+        default=None,
+        description="Attitude equations of the NED model; rotation-vector is exact, the others are classical forms "
+        "to compare with (docs, theory of strapdown forms); left out: as in the preset, else rotation-vector",
+        examples=["rotation-vector"],
     )
     feedback_interval_s: float = Field(
         default=0.0,

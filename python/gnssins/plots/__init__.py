@@ -8,6 +8,7 @@ from gnssins.plots.aiding import innovations, nis
 from gnssins.plots.blocks import biases
 from gnssins.plots.errors import attitude_errors, position_errors, velocity_errors
 from gnssins.plots.ground import track
+from gnssins.plots.inertial import schuler
 from gnssins.plots.observability import observability
 from gnssins.plots.style import save
 
@@ -19,6 +20,7 @@ __all__ = [
     "observability",
     "position_errors",
     "save",
+    "schuler",
     "track",
     "velocity_errors",
 ]

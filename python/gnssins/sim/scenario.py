@@ -47,7 +47,7 @@ class TruthModel(Section):
     gravity: Literal["normal", "vertical"] = Field(
         default="normal", description="Normal gravity with its north component, or along the vertical only"
     )
-    coning: Literal["two-sample", "one-sample"] = Field(
+    coning: Literal["two-sample", "one-sample", "third-order"] = Field(
         default="two-sample", description="Coning and sculling algorithm that the increments suit exactly"
     )
 

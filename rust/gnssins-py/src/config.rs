@@ -8,6 +8,7 @@ use gnssins::error::Error;
 use gnssins::frames::Lla;
 use gnssins::imu::{Calibration, Coning, ImuInput};
 use gnssins::layout::Layout;
+use gnssins::nav::kinematics::AttitudeForm;
 use gnssins::nav::{EarthModel, NAV, Solution};
 use gnssins::presets::{self, Model, Preset};
 use gnssins::stream::{OnBackwards, OnGap, StreamSettings};
@@ -25,6 +26,7 @@ pub struct EngineConfig {
     pub ellipsoid: String,
     pub gravity: Gravity,
     pub coning: Coning,
+    pub attitude_form: AttitudeForm,
     pub phi_order: u8,
     #[serde(default)]
     pub floor: FloorConfig,
@@ -341,6 +343,7 @@ impl From<&Preset> for EngineConfig {
             ellipsoid: "wgs84".into(),
             gravity: p.gravity,
             coning: Coning::default(),
+            attitude_form: AttitudeForm::default(),
             phi_order: 3,
             floor: FloorConfig::default(),
             feedback_ns: 0,

@@ -234,7 +234,8 @@ fn boxed<M: NavModel + Send + Sync + 'static, const CAP: usize>(
     py: Python<'_>,
     config: &EngineConfig,
 ) -> PyResult<Box<dyn Engine>> {
-    let ekf = Ekf::<M, CAP>::new(&config.settings(py)?, &config.blocks(py)?, &config.initial(py)?)
+    let mut ekf = Ekf::<M, CAP>::new(&config.settings(py)?, &config.blocks(py)?, &config.initial(py)?)
         .map_err(|e| errors::from_crate(py, &e))?;
+    ekf.set_attitude_form(config.attitude_form).map_err(|e| errors::from_crate(py, &e))?;
     Ok(Box::new(Navigator::<M, CAP, PENDING>::with_queue(ekf, config.stream(py)?)))
 }

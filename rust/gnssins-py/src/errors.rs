@@ -77,6 +77,11 @@ fn message(error: &Error) -> String {
             lat_rad.to_degrees(),
             limit_rad.to_degrees()
         ),
+        Error::AttitudeForm { what, got_rad, limit_rad } => format!(
+            "{what} of {:.3} deg is beyond the limit {:.1} deg of the chosen attitude form",
+            got_rad.to_degrees(),
+            limit_rad.to_degrees()
+        ),
         _ => error.to_string(),
     }
 }

@@ -4,6 +4,7 @@ mod config;
 mod convert;
 mod engine;
 mod errors;
+mod free;
 mod maths;
 mod navigator;
 mod run;
@@ -31,5 +32,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(config::preset_summary, m)?)?;
     m.add_function(wrap_pyfunction!(run::run, m)?)?;
     m.add_class::<navigator::Navigator>()?;
+    m.add_class::<free::FreeIns>()?;
+    m.add_function(wrap_pyfunction!(free::strapdown_three_rate, m)?)?;
     maths::register(m)
 }

@@ -5,6 +5,7 @@ use gnssins::frames::{self, Ecef as EcefPoint, Lla};
 use gnssins::imu::{Coning, ImuDelta};
 use gnssins::inverse::FreeIns;
 use gnssins::nav::ecef::Ecef;
+use gnssins::nav::kinematics::AttitudeForm;
 use gnssins::nav::ned::Ned;
 use gnssins::nav::{EarthModel, NavModel, Solution};
 use gnssins::{attitude, error::Error};
@@ -19,7 +20,7 @@ use crate::{convert, errors};
 type Rows<'py> = PyResult<Bound<'py, PyArray2<f64>>>;
 
 /// Position, velocity and attitude columns, or position and increments.
-type Triple<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
+pub type Triple<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
 /// Adds the functions to the module.
 pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -137,6 +138,7 @@ fn quat_mul<'py>(a: &Bound<'py, PyAny>, b: &Bound<'py, PyAny>) -> Rows<'py> {
 
 /// Error-free INS over given increments; row 0 is the start.
 #[pyfunction]
+#[pyo3(signature = (model, ellipsoid, gravity, coning, t_ns, dtheta, dvel, lla0, v0, q0, *, attitude_form="rotation-vector"))]
 #[expect(clippy::too_many_arguments, reason = "model, start and columns")]
 fn strapdown<'py>(
     py: Python<'py>,
@@ -150,13 +152,19 @@ fn strapdown<'py>(
     lla0: &Bound<'py, PyAny>,
     v0: &Bound<'py, PyAny>,
     q0: &Bound<'py, PyAny>,
+    attitude_form: &str,
 ) -> PyResult<Triple<'py>> {
     let start = Solution {
         position: point(&convert::vector3(lla0, "lla0")?),
         v_n: convert::vector3(v0, "v0")?,
         q_nb: convert::one_quaternion(q0, "q0")?,
     };
-    let setup = Setup { earth: earth(py, ellipsoid, gravity)?, coning: coning_by_name(py, coning)?, start };
+    let setup = Setup {
+        earth: earth(py, ellipsoid, gravity)?,
+        coning: coning_by_name(py, coning)?,
+        form: form_by_name(py, attitude_form)?,
+        start,
+    };
     let t = convert::times(t_ns, "t_ns")?;
     let (dtheta, dvel) = (convert::rows3(dtheta, "dtheta")?, convert::rows3(dvel, "dvel")?);
     convert::same_length(py, "strapdown", &[t.len(), dtheta.len(), dvel.len()])?;
@@ -166,6 +174,11 @@ fn strapdown<'py>(
         false => forward::<Ned>(&setup, &t, &dtheta, &dvel),
     });
     let rows = rows.map_err(|e| errors::from_crate(py, &e))?;
+    solutions(py, &rows)
+}
+
+/// Solutions as columns: position, velocity, attitude.
+pub fn solutions<'py>(py: Python<'py>, rows: &[Solution]) -> PyResult<Triple<'py>> {
     let lla: Vec<_> = rows.iter().map(|s| from_point(&s.position)).collect();
     let v: Vec<_> = rows.iter().map(|s| s.v_n).collect();
     let q: Vec<_> = rows.iter().map(|s| s.q_nb).collect();
@@ -193,7 +206,12 @@ fn invert_strapdown<'py>(
         return Err(errors::input(py, "input.empty", "invert_strapdown: 0 rows", "give at least the start"));
     };
     let start = Solution { position: point(&convert::vector3(lla0, "lla0")?), v_n: *v0, q_nb: *q0 };
-    let setup = Setup { earth: earth(py, ellipsoid, gravity)?, coning: coning_by_name(py, coning)?, start };
+    let setup = Setup {
+        earth: earth(py, ellipsoid, gravity)?,
+        coning: coning_by_name(py, coning)?,
+        form: AttitudeForm::default(),
+        start,
+    };
     let ecef = is_ecef(py, model)?;
     let rows = py.detach(|| match ecef {
         true => backward::<Ecef>(&setup, &t, &v, &q),
@@ -209,6 +227,7 @@ fn invert_strapdown<'py>(
 struct Setup {
     earth: EarthModel,
     coning: Coning,
+    form: AttitudeForm,
     start: Solution,
 }
 
@@ -222,7 +241,9 @@ fn forward<M: NavModel>(
     dtheta: &[Vector3<f64>],
     dvel: &[Vector3<f64>],
 ) -> Result<Vec<Solution>, Error> {
-    let mut ins = FreeIns::new(M::new(setup.earth, &setup.start)?, setup.coning);
+    let mut model = M::new(setup.earth, &setup.start)?;
+    model.set_attitude_form(setup.form)?;
+    let mut ins = FreeIns::new(model, setup.coning);
     let mut rows = vec![setup.start];
     for (k, pair) in t.windows(2).enumerate() {
         ins.step(&ImuDelta { dt_s: interval_s(pair), dtheta: dtheta[k + 1], dvel: dvel[k + 1] })?;
@@ -329,7 +350,7 @@ fn map3<'py>(rows: &Bound<'py, PyAny>, name: &str, f: impl Fn(&Vector3<f64>) -> 
     convert::from_rows3(rows.py(), &out)
 }
 
-fn point(v: &Vector3<f64>) -> Lla {
+pub fn point(v: &Vector3<f64>) -> Lla {
     Lla::new(v.x, v.y, v.z)
 }
 
@@ -337,7 +358,7 @@ fn from_point(p: &Lla) -> Vector3<f64> {
     Vector3::new(p.lat_rad, p.lon_rad, p.height_m)
 }
 
-fn choice(py: Python<'_>, what: &str, got: &str, known: &str) -> PyErr {
+pub fn choice(py: Python<'_>, what: &str, got: &str, known: &str) -> PyErr {
     errors::input(
         py,
         "config.choice",
@@ -346,7 +367,7 @@ fn choice(py: Python<'_>, what: &str, got: &str, known: &str) -> PyErr {
     )
 }
 
-fn earth(py: Python<'_>, ellipsoid: &str, gravity: &str) -> PyResult<EarthModel> {
+pub fn earth(py: Python<'_>, ellipsoid: &str, gravity: &str) -> PyResult<EarthModel> {
     let ellipsoid: Ellipsoid = ellipsoid_by_name(py, ellipsoid)?;
     let gravity = match gravity {
         "normal" => Gravity::Normal,
@@ -356,15 +377,23 @@ fn earth(py: Python<'_>, ellipsoid: &str, gravity: &str) -> PyResult<EarthModel>
     Ok(EarthModel { ellipsoid, gravity })
 }
 
-fn coning_by_name(py: Python<'_>, name: &str) -> PyResult<Coning> {
+pub fn coning_by_name(py: Python<'_>, name: &str) -> PyResult<Coning> {
     match name {
         "one-sample" => Ok(Coning::OneSample),
         "two-sample" => Ok(Coning::TwoSample),
-        other => Err(choice(py, "coning", other, "one-sample, two-sample")),
+        "third-order" => Ok(Coning::ThirdOrder),
+        other => Err(choice(py, "coning", other, "one-sample, two-sample, third-order")),
     }
 }
 
-fn is_ecef(py: Python<'_>, name: &str) -> PyResult<bool> {
+pub fn form_by_name(py: Python<'_>, name: &str) -> PyResult<AttitudeForm> {
+    AttitudeForm::by_name(name).ok_or_else(|| {
+        let known = AttitudeForm::ALL.map(AttitudeForm::name).join(", ");
+        choice(py, "attitude_form", name, &known)
+    })
+}
+
+pub fn is_ecef(py: Python<'_>, name: &str) -> PyResult<bool> {
     match name {
         n if n == Ned::NAME => Ok(false),
         n if n == Ecef::NAME => Ok(true),

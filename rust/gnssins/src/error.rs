@@ -41,6 +41,16 @@ pub enum Error {
         /// Limit of the model, rad.
         limit_rad: f64,
     },
+    /// The chosen form of the attitude equations does not hold here.
+    #[error("{what} of {got_rad} rad is beyond the limit {limit_rad} rad of the chosen attitude form")]
+    AttitudeForm {
+        /// Which angle.
+        what: &'static str,
+        /// Its value, rad.
+        got_rad: f64,
+        /// Limit of the form, rad.
+        limit_rad: f64,
+    },
     /// An IMU stamp lies before its predecessor.
     #[error("IMU row {row}: t = {t_ns} ns after {previous_ns} ns")]
     TimeBackwards {
@@ -118,6 +128,7 @@ impl Error {
             Error::Capacity { .. } => "config.capacity",
             Error::NonFinite { .. } => "state.non_finite",
             Error::LatitudeLimit { .. } => "state.latitude",
+            Error::AttitudeForm { .. } => "nav.attitude_form",
             Error::TimeBackwards { .. } => "time.backwards",
             Error::Future { .. } => "time.future",
             Error::Gap { .. } => "gap.imu",
@@ -137,6 +148,9 @@ impl Error {
             Error::NonFinite { .. } => "check units and axes of the input and the initial state",
             Error::LatitudeLimit { .. } => {
                 "use the ECEF model (filter.model = \"ecef\"): it works at the poles"
+            }
+            Error::AttitudeForm { .. } => {
+                "use attitude_form = \"rotation-vector\": it holds at every attitude and for every turn"
             }
             Error::TimeBackwards { .. } => {
                 "set [imu] on_backwards = \"sort\" or \"drop\", or check the logger's clock"

@@ -29,6 +29,10 @@ pub enum Coning {
     /// Also the change of rate since the previous interval (Savage 2000, sect. 7.1-7.2).
     #[default]
     TwoSample,
+    /// As [`Coning::TwoSample`], and the velocity increment to third order in the turn: adds
+    /// $\tfrac16\Delta\theta\times(\Delta\theta\times\Delta v)$. Without it a body that turns at w loses the share
+    /// (w dt)²/6 of the specific force across its axis: 17 ppm at 1 rad/s and 100 Hz.
+    ThirdOrder,
 }
 
 /// Deterministic sensor calibration: `measured = (I + matrix) true + bias`, per sensor.
@@ -123,19 +127,35 @@ impl Strap {
         Self { dt_s: now.dt_s, alpha, u }
     }
 
-    /// The increments whose [`Strap::from_increments`] is this one: the exact inverse, for simulation.
+    /// As [`Strap::from_increments`], with what `coning` uses of it.
+    #[inline]
     #[must_use]
-    pub fn to_increments(&self, previous: Option<&ImuDelta>) -> ImuDelta {
+    pub fn compensated(now: &ImuDelta, previous: Option<&ImuDelta>, coning: Coning) -> Self {
+        let mut strap = Self::from_increments(now, previous.filter(|_| coning != Coning::OneSample));
+        if coning == Coning::ThirdOrder {
+            strap.u += now.dtheta.cross(&now.dtheta.cross(&now.dvel)) / 6.0;
+        }
+        strap
+    }
+
+    /// The increments whose [`Strap::compensated`] is this one: the exact inverse, for simulation.
+    #[must_use]
+    pub fn to_increments(&self, previous: Option<&ImuDelta>, coning: Coning) -> ImuDelta {
+        let previous = previous.filter(|_| coning != Coning::OneSample);
         let (mut turn, mut carry, mut k) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
         if let Some(p) = previous.filter(|p| p.dt_s > 0.0) {
             k = self.dt_s * self.dt_s / (6.0 * p.dt_s * (p.dt_s + self.dt_s));
             turn = k * skew(&p.dtheta);
             carry = p.dvel;
         }
-        // both matrices are I plus a skew-symmetric one: never singular
+        // I plus a skew-symmetric matrix is never singular, nor is it with the third order of a realistic turn
         let solve = |m: Matrix3<f64>, v: Vector3<f64>| m.try_inverse().map_or(v, |i| i * v);
         let dtheta = solve(Matrix3::identity() + turn, self.alpha);
-        let dvel = solve(Matrix3::identity() + 0.5 * skew(&dtheta) + turn, self.u - k * carry.cross(&dtheta));
+        let mut carried = Matrix3::identity() + 0.5 * skew(&dtheta) + turn;
+        if coning == Coning::ThirdOrder {
+            carried += skew(&dtheta) * skew(&dtheta) / 6.0;
+        }
+        let dvel = solve(carried, self.u - k * carry.cross(&dtheta));
         ImuDelta { dt_s: self.dt_s, dtheta, dvel }
     }
 
@@ -226,6 +246,23 @@ mod tests {
         assert!((two.alpha - trapezoid.alpha).norm() < 1e-15);
         assert!((two.u - trapezoid.u).norm() < 1e-15);
         assert!((one.alpha - truth.alpha).norm() > 100.0 * (two.alpha - truth.alpha).norm());
+    }
+
+    #[test]
+    fn third_order_keeps_the_force_of_a_steady_turn() {
+        // w along z, f along x, both constant: u = f [sin a / w, (1 - cos a) / w], a = w dt
+        let (w, f, dt) = (1.0, 9.8, 0.05);
+        let delta = ImuDelta { dt_s: dt, dtheta: Vector3::z() * (w * dt), dvel: Vector3::x() * (f * dt) };
+        let exact = f / w * Vector3::new(math::sin(w * dt), 1.0 - math::cos(w * dt), 0.0);
+        let miss = |coning| (Strap::compensated(&delta, Some(&delta), coning).u - exact).norm();
+        let third = f * dt * (w * dt) * (w * dt) / 6.0;
+        assert!((miss(Coning::TwoSample) / third - 1.0).abs() < 2e-2);
+        assert!((miss(Coning::ThirdOrder) / (third * 0.25 * w * dt) - 1.0).abs() < 1e-2);
+        for coning in [Coning::OneSample, Coning::TwoSample, Coning::ThirdOrder] {
+            let before = ImuDelta { dt_s: 0.03, dtheta: Vector3::new(0.01, -0.02, 0.04), dvel: delta.dvel };
+            let back = Strap::compensated(&delta, Some(&before), coning).to_increments(Some(&before), coning);
+            assert!((back.dtheta - delta.dtheta).norm() < 1e-16 && (back.dvel - delta.dvel).norm() < 1e-15);
+        }
     }
 
     #[test]

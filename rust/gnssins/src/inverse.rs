@@ -5,7 +5,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use crate::attitude;
 use crate::error::Error;
 use crate::imu::{Coning, ImuDelta, Strap};
-use crate::nav::NavModel;
+use crate::nav::{NavModel, Solution};
 
 /// Most corrections of one step; four reach rounding at any realistic motion.
 const ITERATIONS: usize = 8;
@@ -33,13 +33,20 @@ impl<M: NavModel> FreeIns<M> {
         &self.model
     }
 
+    /// Goes to another solution; the memory of the increments stays.
+    ///
+    /// # Errors
+    /// What [`NavModel::restart`] refuses.
+    pub fn restart(&mut self, solution: &Solution) -> Result<(), Error> {
+        self.model.restart(solution)
+    }
+
     /// Propagates with true increments.
     ///
     /// # Errors
     /// What [`NavModel::step`] refuses.
     pub fn step(&mut self, delta: &ImuDelta) -> Result<(), Error> {
-        let previous = self.previous.filter(|_| self.coning == Coning::TwoSample);
-        self.model.step(&Strap::from_increments(delta, previous.as_ref()))?;
+        self.model.step(&Strap::compensated(delta, self.previous.as_ref(), self.coning))?;
         self.previous = Some(*delta);
         Ok(())
     }
@@ -71,8 +78,7 @@ impl<M: NavModel> FreeIns<M> {
                 break;
             }
         }
-        let previous = self.previous.filter(|_| self.coning == Coning::TwoSample);
-        let delta = strap.to_increments(previous.as_ref());
+        let delta = strap.to_increments(self.previous.as_ref(), self.coning);
         self.step(&delta)?;
         Ok(delta)
     }

@@ -8,7 +8,7 @@
 //! | [`blocks`], [`layout`], [`presets`] | error states as data |
 //! | [`discretise`], [`cov`], [`ekf`] | transition and noise, covariance, the filter |
 //! | [`meas`] | measurements |
-//! | [`inverse`] | exact increments for a given motion, error-free INS |
+//! | [`inverse`], [`vertical`] | exact increments for a given motion, INS without aids, its vertical channel |
 //! | [`stream`] | rows in time order to a filter: gaps, fixes between samples, counts |
 //!
 //! Units are SI and radians; body axes are forward, right, down; time is integer nanoseconds. The crate needs neither
@@ -56,3 +56,4 @@ pub mod presets;
 pub mod small;
 pub mod stream;
 pub mod time;
+pub mod vertical;

@@ -13,9 +13,10 @@ use crate::blocks::Block;
 use crate::cov::Covariance;
 use crate::discretise::{BlockStep, ImuNoise, Transition};
 use crate::error::Error;
-use crate::imu::{Calibration, Coning, ImuDelta, Rates, Strap};
+use crate::imu::{Calibration, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
 use crate::meas::{BadReason, Measurement, Record, Rows, SOURCES, Status, View};
+use crate::nav::kinematics::AttitudeForm;
 use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
 use crate::small::{self, ROWS_MAX};
 
@@ -91,6 +92,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         ekf.refresh_sensors()?;
         ekf.cov.check(ekf.t_ns)?;
         Ok(ekf)
+    }
+
+    /// Chooses how the attitude is integrated and corrected; the exact form is the default.
+    ///
+    /// # Errors
+    /// What [`NavModel::set_attitude_form`] refuses.
+    pub fn set_attitude_form(&mut self, form: AttitudeForm) -> Result<(), Error> {
+        self.model.set_attitude_form(form)
     }
 
     /// Time of the state, ns.
@@ -171,8 +180,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             dtheta: self.sensors[0].increment(dtheta, dt_s),
             dvel: self.sensors[1].increment(dvel, dt_s),
         };
-        let previous = self.previous.filter(|_| self.settings.coning == Coning::TwoSample);
-        let strap = Strap::from_increments(&delta, previous.as_ref());
+        let strap = Strap::compensated(&delta, self.previous.as_ref(), self.settings.coning);
         self.advance(t_ns, &strap, &delta, extra, seen)?;
         self.previous = Some(delta);
         self.w_ib_b = delta.dtheta / dt_s;

@@ -70,6 +70,11 @@ impl NavModel for Ecef {
         Ok(Self { earth, r_e, v_e, q_eb, c_eb: attitude::dcm(&q_eb) })
     }
 
+    fn restart(&mut self, solution: &Solution) -> Result<(), Error> {
+        *self = Self::new(self.earth, solution)?;
+        Ok(())
+    }
+
     fn solution(&self) -> Solution {
         let position = self.lla();
         let c_ne = frames::c_ne(position.lat_rad, position.lon_rad);

@@ -12,7 +12,9 @@
 //! * A measurement gives `y = predicted - measured = H x - noise`, always along north, east, down.
 
 pub mod ecef;
+pub mod kinematics;
 pub mod ned;
+pub mod three_rate;
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 
@@ -20,6 +22,7 @@ use crate::earth::{Ellipsoid, Gravity, WGS84};
 use crate::error::Error;
 use crate::frames::Lla;
 use crate::imu::Strap;
+use crate::nav::kinematics::AttitudeForm;
 
 /// First row of the attitude error `phi`.
 pub const PHI: usize = 0;
@@ -116,6 +119,27 @@ pub trait NavModel: Clone {
     /// # Errors
     /// [`Error::NonFinite`] for a NaN or infinity, [`Error::LatitudeLimit`] where the model does not work.
     fn new(earth: EarthModel, solution: &Solution) -> Result<Self, Error>;
+
+    /// Chooses how the attitude is integrated; a model that has the exact form only refuses any other.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    fn set_attitude_form(&mut self, form: AttitudeForm) -> Result<(), Error> {
+        match form {
+            AttitudeForm::RotationVector => Ok(()),
+            _ => Err(Error::Config {
+                what: "filter.attitude_form (number of the form)",
+                need: "must be 0, rotation-vector: the ECEF model has no other",
+                got: f64::from(form as u8),
+            }),
+        }
+    }
+
+    /// Goes to another solution; ellipsoid, gravity and attitude form stay.
+    ///
+    /// # Errors
+    /// As [`NavModel::new`]; the state is then unchanged.
+    fn restart(&mut self, solution: &Solution) -> Result<(), Error>;
 
     /// The present solution.
     fn solution(&self) -> Solution;

@@ -14,6 +14,7 @@ use crate::error::Error;
 use crate::frames::{Lla, wrap_pi};
 use crate::imu::Strap;
 use crate::math;
+use crate::nav::kinematics::AttitudeForm;
 
 /// Largest latitude of the model, rad (89.9 degrees): beyond it tan(latitude) spoils the transport rate.
 pub const LATITUDE_LIMIT_RAD: f64 = 1.569_051_3;
@@ -22,6 +23,7 @@ pub const LATITUDE_LIMIT_RAD: f64 = 1.569_051_3;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ned {
     earth: EarthModel,
+    form: AttitudeForm,
     position: Lla,
     v_n: Vector3<f64>,
     q_nb: UnitQuaternion<f64>,
@@ -29,18 +31,19 @@ pub struct Ned {
 }
 
 /// Earth quantities at one point, computed once per step.
-struct Point {
-    sin_lat: f64,
-    cos_lat: f64,
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Point {
+    pub(super) sin_lat: f64,
+    pub(super) cos_lat: f64,
     tan_lat: f64,
-    height_m: f64,
+    pub(super) height_m: f64,
     /// Radii of curvature, not including the height.
     radii: Radii,
-    w_ie_n: Vector3<f64>,
+    pub(super) w_ie_n: Vector3<f64>,
 }
 
 impl Point {
-    fn new(earth: &EarthModel, lat_rad: f64, height_m: f64) -> Self {
+    pub(super) fn new(earth: &EarthModel, lat_rad: f64, height_m: f64) -> Self {
         let (sin_lat, cos_lat) = math::sin_cos(lat_rad);
         Self {
             sin_lat,
@@ -52,18 +55,18 @@ impl Point {
         }
     }
 
-    fn transport_rate(&self, v_n: &Vector3<f64>) -> Vector3<f64> {
+    pub(super) fn transport_rate(&self, v_n: &Vector3<f64>) -> Vector3<f64> {
         transport_rate_n(&self.radii, self.tan_lat, self.height_m, v_n)
     }
 
     /// R_M + h and R_N + h, m.
-    fn scales(&self) -> (f64, f64) {
+    pub(super) fn scales(&self) -> (f64, f64) {
         (self.radii.meridian_m + self.height_m, self.radii.prime_vertical_m + self.height_m)
     }
 }
 
 impl Ned {
-    fn check(position: &Lla, v_n: &Vector3<f64>, q_nb: &UnitQuaternion<f64>) -> Result<(), Error> {
+    pub(super) fn check(position: &Lla, v_n: &Vector3<f64>, q_nb: &UnitQuaternion<f64>) -> Result<(), Error> {
         finite("position", &[position.lat_rad, position.lon_rad])?;
         within("height", &[position.height_m], FARTHEST_M)?;
         within("velocity", v_n.as_slice(), FASTEST_M_S)?;
@@ -147,7 +150,18 @@ impl NavModel for Ned {
         let Solution { position, v_n, q_nb } = *solution;
         Self::check(&position, &v_n, &q_nb)?;
         let q_nb = attitude::renormalise(&q_nb);
-        Ok(Self { earth, position, v_n, q_nb, c_nb: attitude::dcm(&q_nb) })
+        let form = AttitudeForm::default();
+        Ok(Self { earth, form, position, v_n, q_nb, c_nb: attitude::dcm(&q_nb) })
+    }
+
+    fn set_attitude_form(&mut self, form: AttitudeForm) -> Result<(), Error> {
+        self.form = form;
+        Ok(())
+    }
+
+    fn restart(&mut self, solution: &Solution) -> Result<(), Error> {
+        *self = Self { form: self.form, ..Self::new(self.earth, solution)? };
+        Ok(())
     }
 
     fn solution(&self) -> Solution {
@@ -183,12 +197,11 @@ impl NavModel for Ned {
             height_m: height_m - dt * v_mean.z,
         };
         let w_in = point.w_ie_n + point.transport_rate(&v_mean);
-        let q_nb =
-            attitude::renormalise(&(attitude::exp(&(-dt * w_in)) * self.q_nb * attitude::exp(&strap.alpha)));
+        let q_nb = self.form.advance(&self.q_nb, &strap.alpha, &(dt * w_in))?;
         Self::check(&position, &v_new, &q_nb)?;
         let c_new = attitude::dcm(&q_nb);
         let dynamics = self.dynamics_at(&point, &v_mean, &(dv_f / dt), &(0.5 * (self.c_nb + c_new)));
-        *self = Self { earth: self.earth, position, v_n: v_new, q_nb, c_nb: c_new };
+        (self.position, self.v_n, self.q_nb, self.c_nb) = (position, v_new, q_nb, c_new);
         Ok(dynamics)
     }
 
@@ -205,7 +218,7 @@ impl NavModel for Ned {
         self.position.height_m += x[DP + 2];
         self.v_n -= x.fixed_rows::<3>(DV);
         let phi: Vector3<f64> = x.fixed_rows::<3>(PHI).into();
-        self.q_nb = attitude::renormalise(&(attitude::exp(&phi) * self.q_nb));
+        self.q_nb = self.form.correct(&self.q_nb, &phi);
         self.c_nb = attitude::dcm(&self.q_nb);
     }
 
@@ -260,7 +273,7 @@ impl NavModel for Ned {
         let q_nb = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(p[6], p[7], p[8], p[9]));
         check_start(&Solution { position, v_n, q_nb })?;
         Self::check(&position, &v_n, &q_nb)?;
-        *self = Self { earth: self.earth, position, v_n, q_nb, c_nb: attitude::dcm(&q_nb) };
+        *self = Self { position, v_n, q_nb, c_nb: attitude::dcm(&q_nb), ..*self };
         Ok(())
     }
 }

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import beta, chi2, ncx2, norm
 
-from gnssins.analysis import Integrity, Share, integrity
+from gnssins import run
+from gnssins.analysis import Integrity, Share, integrity, ned_difference
 from gnssins.analysis.gates import chi_square, chi_square_limit, tolerance, trace_ratio, windowed
 from gnssins.errors import InputError
 from gnssins.result import STATUS, Records
-from short_flight import result
+from short_flight import config, result, simulated
 
 S = 1_000_000_000
 USED = STATUS.index("used")
@@ -33,6 +34,7 @@ def drawn(count=20_000, seed=1, sd=(5.0, 5.0, 8.0, 0.1, 0.1, 0.2), lat=0.96) -> 
         reason=[""] * count,
         lla=np.tile([lat, 0.5, 100.0], (count, 1)),
         v_n=np.zeros((count, 3)),
+        refused=np.zeros(count, dtype=np.uint8),
     )
 
 
@@ -190,6 +192,53 @@ def test_tolerance_in_numbers():
     limit = 5.0 + 0.5 * np.sqrt(2.0)
     found = tolerance([[limit, 0.0, 2 * limit]], [1.0], [0.1, 0.1, 0.1], 5.0, "velocity")
     np.testing.assert_allclose(found, [[1.0, 0.0, 2.0]])
+
+
+# ---- agreement with the tests that the engine applies
+
+
+def faulty(**gnss: object):
+    """The flight with steps of the fixes: 30 m east at 100 s, 3 m/s down at 150 s, 5 m north at 200 s."""
+    data = simulated().dataset
+    lla, v_n = data.gnss.lla.copy(), data.gnss.v_n.copy()
+    at = {t: int(np.searchsorted(data.gnss.t_ns, t * S)) for t in (100, 150, 200)}
+    lla[at[100], 1] += 30.0 / (6.378e6 * np.cos(lla[0, 0]))
+    v_n[at[150], 2] += 3.0
+    lla[at[200], 0] += 5.0 / 6.36e6
+    settings = config(output_rate_hz=None).replace(gnss={"gate_probability": "off", **gnss})
+    changed = replace(data, gnss=replace(data.gnss, lla=lla, v_n=v_n))
+    return run(settings, replace(simulated(), dataset=changed)), at
+
+
+def test_the_trace_ratio_is_that_of_the_engine():
+    r, at = faulty(trace_ratio_limit=10.0)
+    for part, bits, columns in (("position", 7, slice(0, 3)), ("velocity", 56, slice(3, 6))):
+        ratio = trace_ratio(r.records.innovation[:, columns], r.records.innovation_cov[:, columns, columns])
+        np.testing.assert_array_equal(r.records.refused & bits == bits, ratio >= 10.0)
+        assert integrity(r).alarms(part)["trace ratio"].hits == (ratio >= 10.0).sum()
+    assert r.records.refused[at[100]] == 7
+    assert r.records.refused[at[150]] == 56
+
+
+def test_the_gate_by_parts_is_the_chi_square_test():
+    r, at = faulty(gate="parts", gate_probability=0.999)
+    limit = chi_square_limit(1e-3)
+    for bits, columns in ((7, slice(0, 3)), (56, slice(3, 6))):
+        value = chi_square(r.records.innovation[:, columns], r.records.innovation_cov[:, columns, columns])
+        np.testing.assert_array_equal(r.records.refused & bits == bits, value > limit)
+    assert r.records.refused[[at[100], at[150], at[200]]].tolist() == [7, 56, 7]
+
+
+def test_the_tolerance_is_that_of_the_engine():
+    # a fix that is refused leaves the solution as it was predicted: what the engine compared can be made again
+    r, at = faulty(max_accel_m_s2=5.0)
+    assert r.records.refused[[at[100], at[150], at[200]]].tolist() == [7, 0, 0]
+    now, then = (int(np.searchsorted(r.t_ns, t * S)) for t in (100, 99))
+    moved = ned_difference(r.lla[now : now + 1], r.lla[then : then + 1])[0] - r.v_n[then]
+    jump = moved + r.records.innovation[at[100], :3]
+    found = tolerance([jump], [1.0], [1.0, 1.0, 1.0], 5.0)[0]
+    assert found[1] == pytest.approx(30.0 / (2.5 + 5.0 * np.sqrt(2.0)), rel=0.1)
+    assert (found > 1.0).tolist() == [False, True, False]
 
 
 # ---- what comes out

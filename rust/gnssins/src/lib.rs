@@ -9,6 +9,7 @@
 //! | [`discretise`], [`cov`], [`ekf`] | transition and noise, covariance, the filter |
 //! | [`meas`] | measurements |
 //! | [`inverse`] | exact increments for a given motion, error-free INS |
+//! | [`ahrs`] | attitude from gyro, accelerometer, magnetometer alone |
 //! | [`stream`] | rows in time order to a filter: gaps, fixes between samples, counts |
 //!
 //! Units are SI and radians; body axes are forward, right, down; time is integer nanoseconds. The crate needs neither
@@ -40,6 +41,7 @@
 #![cfg_attr(not(feature = "std"), no_std)]
 #![deny(missing_docs)]
 
+pub mod ahrs;
 pub mod attitude;
 pub mod blocks;
 pub mod bytes;

@@ -40,5 +40,11 @@ pub fn dcm_to_publication(c_nb: &Matrix3<f64>) -> Matrix3<f64> {
     P * c_nb * P.transpose()
 }
 
+/// Our $C_{nb}$ of their direction-cosine matrix.
+#[must_use]
+pub fn dcm_from_publication(c: &Matrix3<f64>) -> Matrix3<f64> {
+    P.transpose() * c * P
+}
+
 /// P: ours to theirs.
 const P: Matrix3<f64> = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);

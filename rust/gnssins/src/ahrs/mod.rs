@@ -1,16 +1,29 @@
 //! Attitude from gyro, accelerometer and magnetometer, without position or velocity.
 //!
+//! | module | what |
+//! |---|---|
+//! | [`filter`] | the estimator to use: gyro bias in body axes, disturbed references rejected |
+//! | [`dcm`] | direction cosines corrected: positional, integral-positional, cross-coupled |
+//! | [`quaternion`] | the same correction of the quaternion |
+//! | [`euler`] | Euler angles levelled by the accelerometer |
+//! | [`measured`] | attitude from one accelerometer and one magnetometer reading |
+//!
 //! All estimators implement [`AttitudeEstimator`]. Body axes are forward-right-down, navigation axes
 //! north-east-down, as everywhere in this crate. The laws of Aleshkin et al. (2021) are written there in body
 //! forward-up-right and navigation north-up-east; [`axes`] turns one into the other and is the only place that
-//! does. [`filter`] is the estimator to use.
+//! does.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::error::Error;
 
 pub mod axes;
+pub mod dcm;
+pub mod euler;
+pub mod expm;
 pub mod filter;
+pub mod measured;
+pub mod quaternion;
 
 /// One reading of the sensors, body axes forward-right-down.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -99,14 +112,39 @@ pub trait AttitudeEstimator {
 
 /// Refuses an interval or a rate that cannot be used; true when there is something to do.
 pub(crate) fn check(dt_s: f64, gyro: &Vector3<f64>) -> Result<bool, Error> {
-    if !(dt_s.is_finite() && dt_s >= 0.0) {
-        return Err(Error::Config { what: "dt_s", need: "zero or positive, s", got: dt_s });
+    if !(0.0..=INTERVAL_MAX).contains(&dt_s) {
+        return Err(Error::Config { what: "dt_s", need: "from 0 to 1e6 s", got: dt_s });
     }
-    if !gyro.iter().all(|x| x.is_finite() && x.abs() < RATE_MAX) {
+    if !gyro.iter().all(|x| x.abs() < RATE_MAX) {
         return Err(Error::NonFinite { what: "gyro rate", t_ns: 0 });
     }
     Ok(dt_s > 0.0)
 }
+
+/// The rate of the navigation axes from settings.
+pub(crate) fn axes_rate(rate_n: &[f64; 3]) -> Result<Vector3<f64>, Error> {
+    for got in *rate_n {
+        if !(got.abs() < RATE_MAX) {
+            return Err(Error::Config { what: "rate_n", need: "below 1e6 rad/s", got });
+        }
+    }
+    Ok(Vector3::from(*rate_n))
+}
+
+/// An initial attitude from four numbers, scalar first.
+pub(crate) fn initial(q: Option<[f64; 4]>) -> Result<Option<UnitQuaternion<f64>>, Error> {
+    let Some([w, x, y, z]) = q else {
+        return Ok(None);
+    };
+    let norm = Quaternion::new(w, x, y, z).norm();
+    if !(norm > 0.5 && norm < 2.0) {
+        return Err(Error::Config { what: "initial_q_nb", need: "a unit quaternion", got: norm });
+    }
+    Ok(Some(UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))))
+}
+
+/// Interval beyond which no clock is right, s.
+const INTERVAL_MAX: f64 = 1.0e6;
 
 /// Rate beyond which no body turns and no unit is right, rad/s.
 const RATE_MAX: f64 = 1.0e6;

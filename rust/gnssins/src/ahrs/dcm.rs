@@ -289,7 +289,7 @@ pub fn nearest_rotation(c: &Matrix3<f64>) -> Option<Matrix3<f64>> {
         let rows = [x.row(0).transpose(), x.row(1).transpose(), x.row(2).transpose()];
         let cofactors = [rows[1].cross(&rows[2]), rows[2].cross(&rows[0]), rows[0].cross(&rows[1])];
         let det = rows[0].dot(&cofactors[0]);
-        if !(det > DETERMINANT_MIN) {
+        if det.is_nan() || det <= DETERMINANT_MIN {
             return None;
         }
         let inverse_transposed = Matrix3::from_fn(|i, j| cofactors[i][j] / det);

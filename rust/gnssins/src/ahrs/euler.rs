@@ -135,7 +135,7 @@ impl Angles {
     /// far that the interval itself means nothing.
     fn integrated(mut self, body: &Vector3<f64>, nav: &Vector3<f64>, dt_s: f64) -> Option<Self> {
         let turn = (body.norm() + nav.norm()) * dt_s;
-        if !(turn < TURN_MAX) {
+        if turn.is_nan() || turn >= TURN_MAX {
             return None;
         }
         let steps = 1 + (turn / STEP_RAD) as u32;
@@ -168,7 +168,7 @@ impl Euler {
         gain("k_int", settings.k_int)?;
         gain("k_heading", settings.k_heading)?;
         let latitude = settings.latitude_rad.unwrap_or(0.0);
-        if !(math::abs(latitude) < 1.57) {
+        if latitude.is_nan() || math::abs(latitude) >= 1.57 {
             return Err(Error::Config { what: "latitude_rad", need: "within ±1.57 rad", got: latitude });
         }
         settings.references.check()?;

@@ -124,7 +124,7 @@ pub(crate) fn check(dt_s: f64, gyro: &Vector3<f64>) -> Result<bool, Error> {
 /// The rate of the navigation axes from settings.
 pub(crate) fn axes_rate(rate_n: &[f64; 3]) -> Result<Vector3<f64>, Error> {
     for got in *rate_n {
-        if !(got.abs() < RATE_MAX) {
+        if got.is_nan() || got.abs() >= RATE_MAX {
             return Err(Error::Config { what: "rate_n", need: "below 1e6 rad/s", got });
         }
     }

@@ -11,6 +11,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
 
 from gnssins.ahrs.laws import Cross, Form, Integral, Positional, Quaternion, RowLaw
 
@@ -181,12 +182,29 @@ class Model:
         The angle from the state.
     own : int
         Column of the angle itself in ``moved``.
+    law : RowLaw
+        Law and gains.
+    form : {"elements", "rotation"}
+        As in :func:`model`.
     """
 
     a: Array
     moved: Array
     out: Array
     own: int
+    law: RowLaw
+    form: Form
+
+    def transition(self, dt_s: float) -> Array:
+        """Transition over a sampling interval as the compiled law takes it, shape (n, n).
+
+        exp(a T); where C is kept a rotation, (tr F I - F^T) / 2 of F = exp(-K T), the nearest rotation being taken
+        once per sample: a little more cross-coupling is left than the continuous form has.
+        """
+        if self.form == "rotation" and not isinstance(self.law, Integral):
+            f = expm(-self.law.matrix() * dt_s)
+            return np.asarray(0.5 * (np.trace(f) * np.eye(3) - f.T))
+        return np.asarray(expm(self.a * dt_s))
 
     def inputs(self, reading: Reading) -> Array:
         """Input matrix b, shape (n, 3)."""
@@ -219,5 +237,5 @@ def model(law: RowLaw, angle: Angle, form: Form = "elements") -> Model:
     if isinstance(law, Integral):
         wide = np.zeros((6, 6))
         wide[:3, 3:], wide[3:, :3], wide[3:, 3:] = law.k_int * np.eye(3), -np.eye(3), a
-        return Model(wide, np.vstack([np.zeros((3, 3)), moved]), np.append(np.zeros(3), out), own)
-    return Model(a, moved, out, own)
+        return Model(wide, np.vstack([np.zeros((3, 3)), moved]), np.append(np.zeros(3), out), own, law, form)
+    return Model(a, moved, out, own, law, form)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_continuous_lyapunov, solve_discrete_lyapunov
+from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from gnssins.ahrs.laws import Form, RowLaw
 from gnssins.analysis import text
@@ -97,7 +97,7 @@ def _gains(linear: Model, dt_s: float | None) -> tuple[float, float]:
         inputs = (linear.inputs("gyro"), linear.inputs("measured"))
         found = [solve_continuous_lyapunov(a, -b @ b.T) for b in inputs]
     else:
-        phi = expm(a * dt_s)
+        phi = linear.transition(dt_s)
         inputs = (phi @ linear.moved * dt_s, linear.moved - phi @ linear.moved)
         found = [solve_discrete_lyapunov(phi, b @ b.T) / dt_s for b in inputs]
     gyro, measured = (float(linear.out @ p @ linear.out) for p in found)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from gnssins.ahrs.laws import Form, RowLaw
 from gnssins.analysis import text
@@ -55,7 +55,7 @@ class Response:
     @cached_property
     def _system(self) -> tuple[Model, Array | None]:
         found = model(self.law, self.angle, self.form)
-        return found, None if self.dt_s is None else expm(found.a * self.dt_s)
+        return found, None if self.dt_s is None else found.transition(self.dt_s)
 
     def at(self, frequency_hz: ArrayLike, source: Angle | None = None) -> NDArray[np.complex128]:
         """Complex response at frequencies, from the angle's own reading or from that of another (``source``)."""
@@ -107,18 +107,27 @@ class Response:
         """
         if self._resonance_hz is not None:
             return math.inf, self._resonance_hz
-        grid, size = self._scan
-        reference = self._reference
-        i = int(size.argmax())
+        top, at = self._top
         if abs(self.dc) <= _NO_DC:
-            return 0.0, float(grid[i])
-        if size[i] <= reference * (1.0 + 1e-6):
+            return 0.0, at
+        if top <= abs(self.dc) * (1.0 + 1e-6):
             return 0.0, 0.0
-        return 20.0 * math.log10(size[i] / reference), float(grid[i])
+        return 20.0 * math.log10(top / abs(self.dc)), at
+
+    @cached_property
+    def _top(self) -> tuple[float, float]:
+        """Largest magnitude, and its frequency, Hz."""
+        grid, size = self._scan
+        i = int(size.argmax())
+        around = (math.log(grid[max(i - 1, 0)]), math.log(grid[min(i + 1, grid.size - 1)]))
+        found = minimize_scalar(
+            lambda x: -abs(self.at(math.exp(x))[0]), bounds=around, method="bounded", options={"xatol": 1e-10}
+        )
+        return -float(found.fun), math.exp(float(found.x))
 
     @property
     def _reference(self) -> float:
-        return abs(self.dc) if abs(self.dc) > _NO_DC else float(self._scan[1].max())
+        return abs(self.dc) if abs(self.dc) > _NO_DC else self._top[0]
 
     @property
     def corner_hz(self) -> float:

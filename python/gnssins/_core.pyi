@@ -96,6 +96,7 @@ class _Ahrs(TypedDict):
     q_nb: _F
     bias: _F
     elements: _F
+    sd: _F
     flags: NDArray[np.uint16]
 
 def version() -> str:
@@ -169,7 +170,9 @@ def ahrs_run(config_json: str, t_ns: _I, gyro: _F, accel: _F, mag: _F | None = N
     -------
     dict
         ``q_nb`` (n, 4), ``bias`` (n, 3) in rad/s, ``elements`` (n, 3): roll, pitch, heading (rad) read from single
-        direction cosines, (0, 3) for estimators without them; ``flags`` (n,), bits as in :func:`ahrs_flags`.
+        direction cosines, (0, 3) for estimators without them; ``sd`` (n, 6): 1σ of the attitude error about north,
+        east, down (rad) and of the bias (rad/s), (0, 6) for estimators without them; ``flags`` (n,), bits as in
+        :func:`ahrs_flags`.
 
     Raises
     ------

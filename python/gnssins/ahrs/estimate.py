@@ -135,6 +135,8 @@ class Attitude:
         Estimator.
     settings : mapping
         Its settings.
+    attitude_sd, bias_sd : ndarray, shape (n, 3), or None
+        1σ of the attitude error about north, east, down (rad) and of the gyro bias (rad/s); only the filter has them.
     """
 
     t_ns: NDArray[np.int64]
@@ -144,6 +146,8 @@ class Attitude:
     element_angles: Array | None
     method: str
     settings: Mapping[str, Any] = field(default_factory=dict)
+    attitude_sd: Array | None = None
+    bias_sd: Array | None = None
 
     def __len__(self) -> int:
         return int(self.t_ns.size)
@@ -253,4 +257,16 @@ def run(
     imu = sensors.imu
     columns = _core.ahrs_run(json.dumps(config), imu.t_ns, imu.gyro, imu.accel, sensors.mag)
     elements = columns["elements"] if len(columns["elements"]) == len(imu) else None
-    return Attitude(imu.t_ns, columns["q_nb"], columns["bias"], columns["flags"], elements, name, found)
+    sd = columns["sd"] if len(columns["sd"]) == len(imu) else None
+    attitude_sd, bias_sd = (None, None) if sd is None else (sd[:, :3], sd[:, 3:])
+    return Attitude(
+        imu.t_ns,
+        columns["q_nb"],
+        columns["bias"],
+        columns["flags"],
+        elements,
+        name,
+        found,
+        attitude_sd,
+        bias_sd,
+    )

@@ -1,6 +1,6 @@
 //! Attitude estimators over a log, with the GIL released.
 
-use gnssins::ahrs::{AhrsSample, AhrsStatus, AttitudeEstimator, dcm, euler, quaternion};
+use gnssins::ahrs::{AhrsSample, AhrsStatus, AttitudeEstimator, dcm, euler, filter, quaternion};
 use gnssins::error::Error;
 use gnssins::imu::{ImuInput, Rates, Strap};
 use nalgebra::Vector3;
@@ -33,6 +33,7 @@ enum Estimator {
     Dcm(dcm::Dcm),
     Quaternion(quaternion::Corrected),
     Euler(euler::Euler),
+    Filter(Box<filter::AttitudeFilter>),
 }
 
 impl Estimator {
@@ -44,11 +45,14 @@ impl Estimator {
                 quaternion::Corrected::new(&settings(py, config.settings)?).map(Self::Quaternion).map_err(own)
             }
             "euler" => euler::Euler::new(&settings(py, config.settings)?).map(Self::Euler).map_err(own),
+            "filter" => filter::AttitudeFilter::new(&settings(py, config.settings)?)
+                .map(|f| Self::Filter(Box::new(f)))
+                .map_err(own),
             other => Err(errors::input(
                 py,
                 "config.choice",
                 &format!("method \"{other}\" is not known"),
-                "use one of dcm, quaternion, euler",
+                "use one of filter, dcm, quaternion, euler",
             )),
         }
     }
@@ -58,6 +62,7 @@ impl Estimator {
             Self::Dcm(e) => e,
             Self::Quaternion(e) => e,
             Self::Euler(e) => e,
+            Self::Filter(e) => e.as_mut(),
         }
     }
 
@@ -65,6 +70,14 @@ impl Estimator {
     fn element_angles(&self) -> Option<Vector3<f64>> {
         match self {
             Self::Dcm(e) => Some(e.element_angles()),
+            _ => None,
+        }
+    }
+
+    /// Standard deviations of attitude (north, east, down) and bias, for estimators that have them.
+    fn sd(&self) -> Option<[Vector3<f64>; 2]> {
+        match self {
+            Self::Filter(e) => Some([e.attitude_sd_rad(), e.gyro_bias_sd_rad_s()]),
             _ => None,
         }
     }
@@ -97,6 +110,7 @@ struct Columns {
     q_nb: Vec<f64>,
     bias: Vec<f64>,
     elements: Vec<f64>,
+    sd: Vec<f64>,
     flags: Vec<u16>,
 }
 
@@ -150,6 +164,7 @@ impl Log {
             out.q_nb.extend([q.w, q.i, q.j, q.k]);
             out.bias.extend(bias.iter());
             out.elements.extend(estimator.element_angles().iter().flat_map(|v| v.iter().copied()));
+            out.sd.extend(estimator.sd().iter().flatten().flat_map(|v| v.iter().copied()));
         }
         Ok(out)
     }
@@ -191,6 +206,7 @@ pub fn ahrs_run<'py>(
     out.set_item("q_nb", convert::array2(py, columns.q_nb, 4)?)?;
     out.set_item("bias", convert::array2(py, columns.bias, 3)?)?;
     out.set_item("elements", convert::array2(py, columns.elements, 3)?)?;
+    out.set_item("sd", convert::array2(py, columns.sd, 6)?)?;
     out.set_item("flags", PyArray1::from_vec(py, columns.flags))?;
     Ok(out)
 }

@@ -20,6 +20,10 @@ from gnssins.analysis.ahrs import (
     rate_grid,
     response,
     routh,
+    simulated_corner,
+    simulated_noise,
+    simulated_response,
+    simulated_step,
     stability,
     step_response,
 )
@@ -33,20 +37,6 @@ W0 = 2.0 * math.pi * 10.0
 CHEBYSHEV = Integral(1.1 * W0, 1.1 * W0**2)
 NORTH = np.array([1.0, 0.0, 1.0])
 LAWS = [Positional(K), Positional((10.0, 20.0, 70.0)), CROSS, Cross(30.0, -20.0), CHEBYSHEV]
-
-
-def level(count, dt_s, gyro=None, euler=None):
-    """Sensors of a body at rest: true or disturbed rates, and the angles that the references show."""
-    t_ns = np.rint(np.arange(count) * dt_s * 1e9).astype(np.int64)
-    euler = np.zeros((count, 3)) if euler is None else euler
-    c = _core.quat_to_dcm(_core.euler_to_quat(euler))
-    accel = np.einsum("kji,j->ki", c, np.array([0.0, 0.0, -G]))
-    mag = np.einsum("kji,j->ki", c, NORTH)
-    return Sensors(t_ns, np.zeros((count, 3)) if gyro is None else gyro, accel, mag, "mean-rates")
-
-
-def angles_of(result, form):
-    return result.element_angles if form == "elements" else result.euler
 
 
 # ---------------------------------------------------------------------------- polynomials and stability
@@ -202,25 +192,6 @@ def test_gains_and_peaks_of_the_published_tunings():
     assert leak == pytest.approx(0.24, abs=0.005)
 
 
-def measured_response(law, angle, reading, frequency_hz, dt_s, form, amplitude=1e-4):
-    """Response of the core to a sine, by correlation over whole periods after the transient."""
-    settle = 40.0 / 42.8 if not isinstance(law, Integral) else 1.0
-    periods = max(2, math.ceil(0.4 * frequency_hz))
-    count = round((settle + periods / frequency_hz) / dt_s) + 1
-    t = np.arange(count) * dt_s
-    column = ANGLES.index(angle)
-    sine = np.zeros((count, 3))
-    sine[:, column] = amplitude * np.sin(2.0 * math.pi * frequency_hz * t)
-    sensors = level(count, dt_s, euler=sine) if reading == "measured" else level(count, dt_s, gyro=sine)
-    out = angles_of(ahrs.run(sensors, law, form=form, initial_q_nb=[1, 0, 0, 0]), form)[:, column]
-    last = slice(count - round(periods / frequency_hz / dt_s), count)
-    basis = np.column_stack(
-        [np.sin(2 * math.pi * frequency_hz * t[last]), np.cos(2 * math.pi * frequency_hz * t[last])]
-    )
-    a, b = np.linalg.lstsq(basis, out[last], rcond=None)[0]
-    return complex(a, b) / amplitude
-
-
 @pytest.mark.parametrize("form", ["elements", "rotation"])
 @pytest.mark.parametrize("law", [CROSS, Positional((30.0, 40.0, 50.0)), CHEBYSHEV], ids=str)
 def test_frequency_response_is_that_of_the_running_law(law, form):
@@ -228,7 +199,7 @@ def test_frequency_response_is_that_of_the_running_law(law, form):
         for reading in ("measured", "gyro"):
             for f in (2.0, 10.0, 25.0):
                 want = response(law, angle, reading, form=form, dt_s=0.01).at(f)[0]
-                assert measured_response(law, angle, reading, f, 0.01, form) == pytest.approx(want, rel=2e-4)
+                assert simulated_response(law, angle, reading, f, 0.01, form) == pytest.approx(want, rel=2e-4)
 
 
 @pytest.mark.parametrize(
@@ -237,13 +208,8 @@ def test_frequency_response_is_that_of_the_running_law(law, form):
 )
 def test_corner_of_the_running_law_is_the_published_one(law, angle, corner):
     # at 5 kHz, where sampling moves it by less than a thousandth
-    dt_s = 2e-4
-    low, high = 0.8 * corner, 1.2 * corner
-    for _ in range(11):
-        middle = 0.5 * (low + high)
-        size = abs(measured_response(law, angle, "measured", middle, dt_s, "elements"))
-        low, high = (middle, high) if size > math.sqrt(0.5) else (low, middle)
-    assert 0.5 * (low + high) == pytest.approx(corner, rel=0.005)
+    assert simulated_corner(law, angle) == pytest.approx(corner, rel=0.005)
+    assert simulated_corner(law, angle) == pytest.approx(response(law, angle).corner_hz, rel=1e-3)
 
 
 def test_rotation_form_halves_the_cross_coupling():
@@ -262,14 +228,10 @@ def test_step_responses_of_the_published_tunings():
         (CROSS, "roll", 0.077, 0.0),
         (CHEBYSHEV, "pitch", 0.066, 0.285),
     ):
-        dt_s = 1e-3
-        start = np.zeros(3)
-        start[ANGLES.index(angle)] = 1e-3
-        sensors = level(600, dt_s)
-        q = _core.euler_to_quat(start[None])[0]
-        run = ahrs.run(sensors, law, form="elements", initial_q_nb=q).element_angles / 1e-3
-        want = step_response(law, angle, time_s=np.arange(600) * dt_s)
-        np.testing.assert_allclose(run, want.errors, atol=2e-3)
+        run = simulated_step(law, angle)
+        want = step_response(law, angle, time_s=run.time_s)
+        np.testing.assert_allclose(run.errors, want.errors, atol=2e-3)
+        assert run.settled_s() == pytest.approx(settled, abs=1e-3)
         assert want.settled_s() == pytest.approx(settled, abs=6e-4)
         assert want.undershoot == pytest.approx(undershoot, abs=6e-4)
     assert step_response(CROSS, "pitch").leak("roll") == pytest.approx(0.097, abs=5e-4)
@@ -293,15 +255,12 @@ def test_noise_gains_of_the_published_tuning():
 def test_noise_of_the_running_law_is_the_lyapunov_solution(law, form):
     # 300 000 samples: 3 sigma of a sampled variance is below 1.6 % at a correlation time of 2.3 samples
     dt_s, count = 0.01, 300_000
-    rng = np.random.default_rng(2021)
     gyro_sd, angle_sd = math.radians(0.1), math.radians(0.05)
     want = noise_gain(law, form=form, dt_s=dt_s)
-    gyro = ahrs.run(level(count, dt_s, gyro=rng.normal(0.0, gyro_sd, (count, 3))), law, form=form)
-    variance = angles_of(gyro, form)[200:].var(axis=0)
-    np.testing.assert_allclose(variance, want.gyro * gyro_sd**2 * dt_s, rtol=0.02)
-    shown = ahrs.run(level(count, dt_s, euler=rng.normal(0.0, angle_sd, (count, 3))), law, form=form)
-    variance = angles_of(shown, form)[200:].var(axis=0)
-    np.testing.assert_allclose(variance, want.measured * angle_sd**2 * dt_s, rtol=0.02)
+    found = simulated_noise(law, gyro_sd, "gyro", dt_s, count, 2021, form)
+    np.testing.assert_allclose(found, want.gyro * gyro_sd**2 * dt_s, rtol=0.02)
+    found = simulated_noise(law, angle_sd, "measured", dt_s, count, 2022, form)
+    np.testing.assert_allclose(found, want.measured * angle_sd**2 * dt_s, rtol=0.02)
 
 
 def test_sampled_noise_gain_tends_to_the_continuous_one():

@@ -217,7 +217,7 @@ def run(
     form : {"rotation", "elements"}, optional
         For direction cosines: what keeps them a rotation.
     initial_q_nb : sequence of four floats, optional
-        Attitude at the first row; left out: from the first usable readings. Published laws only.
+        Attitude at the first row; left out: from the first usable readings.
     rate_n : sequence of three floats, optional
         Rate of the navigation axes against inertial space along north, east, down (rad/s): the Earth's, and the
         vehicle's over it. Left out: zero, which costs a tilt of that rate over k. Published laws only.

@@ -18,6 +18,13 @@ from gnssins.analysis.ahrs.dynamics import (
 )
 from gnssins.analysis.ahrs.noise import NoiseGain, noise_gain
 from gnssins.analysis.ahrs.response import Response, StepResponse, response, step_response
+from gnssins.analysis.ahrs.simulated import (
+    level_sensors,
+    simulated_corner,
+    simulated_noise,
+    simulated_response,
+    simulated_step,
+)
 from gnssins.analysis.ahrs.stability import Stability, euler_rate_limit, rate_grid, routh, stability
 
 __all__ = [
@@ -33,12 +40,17 @@ __all__ = [
     "effective_matrix",
     "error_matrix",
     "euler_rate_limit",
+    "level_sensors",
     "model",
     "noise_gain",
     "printed_polynomial",
     "rate_grid",
     "response",
     "routh",
+    "simulated_corner",
+    "simulated_noise",
+    "simulated_response",
+    "simulated_step",
     "stability",
     "step_response",
 ]

@@ -15,6 +15,7 @@ from gnssins.analysis.ahrs import (
     effective_matrix,
     error_matrix,
     euler_rate_limit,
+    level_sensors,
     noise_gain,
     printed_polynomial,
     rate_grid,
@@ -210,6 +211,15 @@ def test_corner_of_the_running_law_is_the_published_one(law, angle, corner):
     # at 5 kHz, where sampling moves it by less than a thousandth
     assert simulated_corner(law, angle) == pytest.approx(corner, rel=0.005)
     assert simulated_corner(law, angle) == pytest.approx(response(law, angle).corner_hz, rel=1e-3)
+
+
+def test_constant_gyro_error_leaves_its_sampled_dc_response():
+    for law in (CROSS, Positional(K)):
+        want = response(law, "roll", "gyro", dt_s=0.01)
+        rates = np.tile([1e-5, 0.0, 0.0], (400, 1))
+        run = ahrs.run(level_sensors(400, 0.01, gyro=rates), law, form="elements")
+        assert run.element_angles[-1, 0] / 1e-5 == pytest.approx(want.dc, rel=1e-6)
+    assert response(Positional(K), "roll", "gyro", dt_s=0.01).dc == pytest.approx(0.01 / math.expm1(K * 0.01))
 
 
 def test_rotation_form_halves_the_cross_coupling():

@@ -63,13 +63,10 @@ class Response:
         column = linear.own if source is None else ANGLES.index(source)
         omega = 2.0 * math.pi * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
         identity = np.eye(len(linear.a))
+        b = self._input(column)
         if phi is None or self.dt_s is None:
-            b = linear.inputs(self.reading)[:, column]
             poles = 1j * omega[:, None, None] * identity - linear.a
         else:
-            moved = linear.moved[:, column]
-            b = phi @ moved * self.dt_s if self.reading == "gyro" else moved - phi @ moved
-            # the reading at the end of an interval acts at once
             poles = identity - phi * np.exp(-1j * omega * self.dt_s)[:, None, None]
         states = np.linalg.solve(poles, np.broadcast_to(b[:, None], (len(omega), len(b), 1)).astype(complex))
         return np.asarray(states[..., 0] @ linear.out)
@@ -77,9 +74,17 @@ class Response:
     @property
     def dc(self) -> float:
         """Response to a constant."""
-        linear, _ = self._system
-        b = linear.inputs(self.reading)[:, linear.own]
-        return float(linear.out @ np.linalg.solve(-linear.a, b))
+        linear, phi = self._system
+        a, b = -linear.a, self._input(linear.own)
+        return float(linear.out @ np.linalg.solve(a if phi is None else np.eye(len(a)) - phi, b))
+
+    def _input(self, column: int) -> Array:
+        """Input column of an angle: continuous, or over a sampling interval at whose end the reading acts."""
+        linear, phi = self._system
+        if phi is None or self.dt_s is None:
+            return np.asarray(linear.inputs(self.reading)[:, column])
+        moved = linear.moved[:, column]
+        return np.asarray(phi @ moved * self.dt_s if self.reading == "gyro" else moved - phi @ moved)
 
     @cached_property
     def _resonance_hz(self) -> float | None:

@@ -88,7 +88,7 @@ def simulated_corner(
     law: RowLaw, angle: Angle, reading: Reading = "measured", dt_s: float = 2e-4, form: Form = "elements"
 ) -> float:
     """Frequency (Hz) at which the running law has fallen by sqrt(2) from its DC response."""
-    want: Response = response(law, angle, reading, form=form)
+    want: Response = response(law, angle, reading, form=form, dt_s=dt_s)
     level, guess = abs(want.dc) / math.sqrt(2.0), want.corner_hz
 
     def above(f: float) -> float:

@@ -24,8 +24,8 @@
 //! **Rest.** A body that does not move shows the gyro bias directly, in all axes, whatever the field does.
 //!
 //! After a large error that looks like an acceleration (started in a manoeuvre, a wrong attitude given) the filter
-//! would wait for ever. The integral of the supposed acceleration is a change of speed: when that becomes
-//! impossible, the tilt is opened again.
+//! would wait for ever, and blame the gyro meanwhile. The integral of the supposed acceleration is a change of
+//! speed: when that becomes impossible, the filter starts again from the smoothed force, and counts it.
 //!
 //! Sources of the parts: error-state form Markley (2003), J. Guidance 26(2), p. 311; smoothing in navigation axes and
 //! a heading correction apart from the level Laidig and Seel (2023), Information Fusion 91, p. 187 (VQF); noise from
@@ -92,8 +92,9 @@ pub struct AttitudeFilter {
     magnet: Smoothed,
     field: Field,
     rest: Rest,
-    /// Samples refused for their gyro rate or interval.
+    /// Samples refused for their gyro rate or interval, starts after the first.
     refused: u64,
+    restarts: u64,
 }
 
 impl AttitudeFilter {
@@ -117,6 +118,7 @@ impl AttitudeFilter {
             field: Field::default(),
             rest: Rest::default(),
             refused: 0,
+            restarts: 0,
         };
         filter.open(settings.initial_heading_sd_rad);
         Ok(filter)
@@ -161,6 +163,12 @@ impl AttitudeFilter {
         self.refused
     }
 
+    /// How often the filter started again because the speed that it supposed had become impossible.
+    #[must_use]
+    pub const fn restarts(&self) -> u64 {
+        self.restarts
+    }
+
     /// Covariance of the start.
     fn open(&mut self, heading_sd: f64) {
         let tilt = self.settings.initial_tilt_sd_rad;
@@ -177,6 +185,25 @@ impl AttitudeFilter {
         self.open(if known { self.settings.initial_heading_sd_rad } else { UNKNOWN });
         self.aligned = true;
         AhrsStatus::ALIGNED.with(AhrsStatus::ACCEL_USED).with_if(known, AhrsStatus::MAG_USED)
+    }
+
+    /// Starts again, level by a force in navigation axes, heading and field to be found.
+    fn restart(&mut self, f: &Vector3<f64>) {
+        let horizontal = math::hypot(f.x, f.y);
+        let angle = math::atan2(horizontal, -f.z);
+        let axis = match horizontal > f64::MIN_POSITIVE {
+            true => Vector3::new(-f.y, f.x, 0.0) / horizontal,
+            false => Vector3::x(),
+        };
+        self.q_nb = attitude::renormalise(&(attitude::exp(&(axis * angle)) * self.q_nb));
+        self.bias = Vector3::zeros();
+        self.matrix = Matrix3::zeros();
+        self.force = Smoothed::default();
+        self.magnet = Smoothed::default();
+        self.field = Field::default();
+        self.speed = Vector3::zeros();
+        self.open(UNKNOWN);
+        self.restarts += 1;
     }
 
     /// Turns the attitude on and its errors with it; gives the rate.
@@ -201,9 +228,8 @@ impl AttitudeFilter {
         rate
     }
 
-    /// One scalar measurement, and the correction that it makes.
-    fn correct(&mut self, h: &Errors, z: f64, r: f64, corrects: Corrects) {
-        let x = self.errors.update(h, z, r, corrects);
+    /// Takes the errors out that measurements have shown.
+    fn correct(&mut self, x: &Errors) {
         let dq = attitude::exp(&Vector3::new(x[0], x[1], x[2]));
         self.q_nb = attitude::renormalise(&(dq * self.q_nb));
         self.force.turn(&dq);
@@ -229,7 +255,8 @@ impl AttitudeFilter {
         for i in 0..3 {
             let mut h = Errors::zeros();
             h[3 + i] = 1.0;
-            self.correct(&h, gyro[i] - self.bias[i], density / dt_s, Corrects::All);
+            let x = self.errors.update(&h, gyro[i] - self.bias[i], density / dt_s, Corrects::All);
+            self.correct(&x);
         }
         true
     }
@@ -247,21 +274,18 @@ impl AttitudeFilter {
         let accelerates = held > ACCEL_FLAG * ACCEL_FLAG;
         self.speed = if accelerates { self.speed + a * dt_s } else { Vector3::zeros() };
         if self.speed.norm() > s.speed_change_m_s {
-            self.speed = Vector3::zeros();
-            let tilt = if f.z < 0.0 { s.initial_tilt_sd_rad } else { UNKNOWN };
-            self.errors.add(0, tilt * tilt);
-            self.errors.add(1, tilt * tilt);
-            self.force.held = 0.0;
+            self.restart(&f);
+            return true;
         }
         let noise = s.accel_noise_m_s2_sqrt_hz * s.accel_noise_m_s2_sqrt_hz;
         let r = (noise + 2.0 * s.accel_correlation_s * self.force.held) / (g * g * dt_s);
-        let (north, east) = tilt_of(&f, g);
         let mut h = Errors::zeros();
         h[0] = 1.0;
-        self.correct(&h, north, r, Corrects::All);
+        let first = self.errors.update(&h, -f.y / g, r, Corrects::All);
         h[0] = 0.0;
         h[1] = 1.0;
-        self.correct(&h, east, r, Corrects::All);
+        let second = self.errors.update(&h, f.x / g - first[1], r, Corrects::All);
+        self.correct(&(first + second));
         accelerates
     }
 
@@ -296,22 +320,11 @@ impl AttitudeFilter {
         let r = (noise + 2.0 * s.mag_correlation_s * self.magnet.held) / (share * share * dt_s);
         let mut h = Errors::zeros();
         h.fixed_rows_mut::<3>(0).copy_from(&along);
-        self.correct(&h, z, r, Corrects::NotLevel);
+        let x = self.errors.update(&h, z, r, Corrects::NotLevel);
+        self.correct(&x);
         self.field.learn(&seen, dt_s, s.mag_learn_s);
         Some(held > MAG_FLAG * MAG_FLAG)
     }
-}
-
-/// Tilt about north and east that a force in navigation axes shows, rad; one radian in its direction where it
-/// points down, that is where the level is upside down.
-fn tilt_of(f: &Vector3<f64>, g: f64) -> (f64, f64) {
-    let horizontal = math::hypot(f.x, f.y);
-    let scale = match f.z > 0.0 && horizontal < g {
-        true if horizontal > f64::MIN_POSITIVE => 1.0 / horizontal,
-        true => return (1.0, 0.0),
-        false => 1.0 / g,
-    };
-    (-f.y * scale, f.x * scale)
 }
 
 /// The reading, if it is finite and in range.
@@ -346,8 +359,12 @@ impl AttitudeEstimator for AttitudeFilter {
             status = status.with_if(self.at_rest(&sample.gyro, dt_s), AhrsStatus::REST);
         }
         if let Some(a) = accel {
+            let starts = self.restarts;
             let accelerates = self.level(&a, dt_s);
-            status = status.with(AhrsStatus::ACCEL_USED).with_if(accelerates, AhrsStatus::ACCEL_DISTURBED);
+            status = status
+                .with(AhrsStatus::ACCEL_USED)
+                .with_if(accelerates, AhrsStatus::ACCEL_DISTURBED)
+                .with_if(self.restarts > starts, AhrsStatus::ALIGNED);
         }
         if let Some(m) = mag {
             status = match self.head(&m, rate, dt_s) {

@@ -159,12 +159,18 @@ impl Field {
 const REST_MEAN_S: f64 = 0.5;
 
 /// Detection of a body that does not move.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rest {
     gyro: Vector3<f64>,
     accel: Vector3<f64>,
-    /// Time without movement, s.
+    /// Time without movement, s; negative before the first sample.
     still_s: f64,
+}
+
+impl Default for Rest {
+    fn default() -> Self {
+        Self { gyro: Vector3::zeros(), accel: Vector3::zeros(), still_s: -1.0 }
+    }
 }
 
 impl Rest {
@@ -177,6 +183,9 @@ impl Rest {
         limits: (f64, f64),
         time_s: f64,
     ) -> bool {
+        if self.still_s < 0.0 {
+            *self = Self { gyro: *gyro, accel: accel.copied().unwrap_or_default(), still_s: 0.0 };
+        }
         let k = share(dt_s, REST_MEAN_S);
         self.gyro += k * (gyro - self.gyro);
         let mut still = (gyro - self.gyro).norm() <= limits.0;

@@ -11,11 +11,11 @@ use crate::error::Error;
 /// Kind and version of the layout.
 const KIND: u64 = 0x4148_5253_0001;
 
-/// Numbers of a saved state after the kind, the count of refused samples and the alignment.
+/// Numbers of a saved state after the kind, the two counts and the alignment.
 const NUMBERS: usize = 4 + 3 + 9 + PACKED + 8 + 3 + 8 + 6 + 7;
 
 /// Bytes of a saved state.
-pub const SAVED_LEN: usize = 8 * (3 + NUMBERS);
+pub const SAVED_LEN: usize = 8 * (4 + NUMBERS);
 
 impl AttitudeFilter {
     /// Writes the state; [`AttitudeFilter::restore`] continues from it with the same bits. Settings are not saved.
@@ -25,6 +25,7 @@ impl AttitudeFilter {
     pub fn save(&self, out: &mut Writer<'_>) -> Result<(), Error> {
         out.u64(KIND)?;
         out.u64(self.refused)?;
+        out.u64(self.restarts)?;
         out.u64(u64::from(self.aligned))?;
         let q = &self.q_nb;
         out.f64s(&[q.w, q.i, q.j, q.k])?;
@@ -49,6 +50,7 @@ impl AttitudeFilter {
         let mut next = *self;
         saved.expect("kind", KIND)?;
         next.refused = saved.u64()?;
+        next.restarts = saved.u64()?;
         next.aligned = saved.u64()? != 0;
         let mut q = [0.0; 4];
         numbers(saved, &mut q)?;

@@ -37,7 +37,7 @@ pub struct Settings {
     /// Time constant in which an acceleration is forgotten, s. Default 0.5.
     pub accel_hold_s: f64,
     /// Largest change of speed that the body can make in one manoeuvre, m/s: when a supposed acceleration adds up
-    /// to more, the tilt is opened. Default 100.
+    /// to more, the filter starts again. Default 100.
     pub speed_change_m_s: f64,
     /// Declination, east positive, rad. Default 0.
     pub declination_rad: f64,

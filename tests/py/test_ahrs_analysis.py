@@ -214,11 +214,16 @@ def test_corner_of_the_running_law_is_the_published_one(law, angle, corner):
 
 
 def test_constant_gyro_error_leaves_its_sampled_dc_response():
-    for law in (CROSS, Positional(K)):
+    for law in (CROSS, Positional(K), CHEBYSHEV):
         want = response(law, "roll", "gyro", dt_s=0.01)
         rates = np.tile([1e-5, 0.0, 0.0], (400, 1))
         run = ahrs.run(level_sensors(400, 0.01, gyro=rates), law, form="elements")
         assert run.element_angles[-1, 0] / 1e-5 == pytest.approx(want.dc, rel=1e-6)
+    # the integral law leaves nothing in continuous time, half an interval of drift at the samples
+    sampled = response(CHEBYSHEV, "roll", "gyro", dt_s=0.001)
+    assert sampled.band_pass
+    assert sampled.dc == pytest.approx(-0.0005, rel=0.03)
+    assert sampled.corner_hz == pytest.approx(17.3, rel=0.01)
     assert response(Positional(K), "roll", "gyro", dt_s=0.01).dc == pytest.approx(0.01 / math.expm1(K * 0.01))
 
 

@@ -49,7 +49,7 @@ def bode(
     colors = [c for name, c in COLORS.items() if name not in ("black", "grey")]
     for i, (name, one) in enumerate(responses.items()):
         value = one.at(f)
-        top = abs(one.dc) if abs(one.dc) > 1e-12 else float(np.abs(value).max())
+        top = float(np.abs(value).max()) if one.band_pass else abs(one.dc)
         color, line = colors[i % len(colors)], _LINES[i // len(colors) % len(_LINES)]
         axes[0, 0].plot(f, _db(value / top), line, color=color, lw=1.4, label=name)
         axes[1, 0].plot(f, np.degrees(np.unwrap(np.angle(value))), line, color=color, lw=1.4)

@@ -64,6 +64,7 @@ def _comparison(compared: Comparison) -> Figure:
                 heights = [rows[0].rms_deg[p] for p in phases]
                 ax.bar(x, heights, width, color=colors[i % len(colors)], label=name)
         ax.set_yscale("log")
+        ax.set_ylim(0.05, None)
         ax.set_xticks(range(len(phases)), phases)
         ax.set_title(f"manoeuvres of {length:g} s", fontsize=10, loc="left")
         style.label(ax, "Attitude error, rms (deg)")

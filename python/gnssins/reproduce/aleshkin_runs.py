@@ -166,7 +166,9 @@ def experiment(job: Job) -> Experiment:
     """Run everything on the job's threads."""
     corners = job.map(lambda i: _corner(LOW_PASS[i]), len(LOW_PASS), "corners")
     points = job.map(lambda i: _points(LOW_PASS[i]), len(LOW_PASS), "responses")
-    steps = job.map(lambda i: simulated_step(TUNINGS[STEPS[i][0]], STEPS[i][1], FINE_S), len(STEPS), "steps")
+    steps = job.map(
+        lambda i: simulated_step(TUNINGS[STEPS[i][0]], STEPS[i][1], FINE_S, 0.25), len(STEPS), "steps"
+    )
     schuler = job.map(lambda i: accelerated(list(SCHULER.values())[i]), len(SCHULER), "Schuler")
     fast = job.map(lambda i: turned_fast(*list(FAST.values())[i]), len(FAST), "fast turn")
     names = list(TUNINGS)

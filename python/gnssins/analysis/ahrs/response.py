@@ -113,7 +113,7 @@ class Response:
         if self._resonance_hz is not None:
             return math.inf, self._resonance_hz
         top, at = self._top
-        if abs(self.dc) <= _NO_DC:
+        if self.band_pass:
             return 0.0, at
         if top <= abs(self.dc) * (1.0 + 1e-6):
             return 0.0, 0.0
@@ -130,14 +130,24 @@ class Response:
         )
         return -float(found.fun), math.exp(float(found.x))
 
+    @cached_property
+    def band_pass(self) -> bool:
+        """Whether a constant input leaves nothing, as a gyro bias under the integral law in continuous time.
+
+        Sampled it leaves half an interval of drift: the error swings about zero within the interval.
+        """
+        linear, _ = self._system
+        b = linear.inputs(self.reading)[:, linear.own]
+        return bool(abs(linear.out @ np.linalg.solve(-linear.a, b)) <= _NO_DC)
+
     @property
     def _reference(self) -> float:
-        return abs(self.dc) if abs(self.dc) > _NO_DC else self._top[0]
+        return self._top[0] if self.band_pass else abs(self.dc)
 
     @property
     def corner_hz(self) -> float:
         """Upper frequency (Hz) at which it has fallen by sqrt(2) from DC, a band-pass from its peak; NaN: none."""
-        if self._resonance_hz is not None and abs(self.dc) <= _NO_DC:
+        if self._resonance_hz is not None and self.band_pass:
             return math.nan
         grid, size = self._scan
         level = self._reference / math.sqrt(2.0)

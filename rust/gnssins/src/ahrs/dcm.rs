@@ -16,6 +16,10 @@
 //! explicit Euler step of the same law is unstable at rates above $\sqrt{1-(1-kT)^2}/T$: 82 rad/s at 100 Hz with
 //! k = 42.8 1/s.
 //!
+//! A gyro bias acts as a turn at the start of each interval. What it leaves at the samples, $bTe^{-kT}/(1-e^{-kT})$ for
+//! the positional law, is below the b/k of continuous time; the integral law, which leaves nothing there, leaves half an
+//! interval of drift: the error swings about zero within the interval.
+//!
 //! Corrected element by element, C leaves the rotations. [`Form`] says what is done about it.
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};

@@ -61,7 +61,7 @@ def _stability(found: Experiment, grid: Stability) -> list[Claim]:
         ),
         Claim(
             "bound",
-            "cross-coupled law: largest real part on that grid, bound -(k - |n|)",
+            "cross-coupled law: largest real part on that grid, bound n - k",
             "1/s",
             grid.worst,
             bound,
@@ -185,7 +185,7 @@ def _noise(found: Experiment) -> list[Claim]:
         Claim(
             "noise_heading",
             "heading variance under gyro noise of 0.1 deg/s at 100 Hz",
-            "1e-6 deg²",
+            "mdeg²",
             1e6 * float(heading.mean()),
             published=1.548,
             median=1e6 * float(np.median(heading)),
@@ -242,7 +242,9 @@ def _filter(compared: Comparison) -> list[Claim]:
     out = []
     for (phase, length), target in TARGETS_DEG.items():
         row = compared.row("filter", length)
-        others = [r for r in compared.rows if r.manoeuvre_s == length and r.method != "filter"]
+        others = [
+            r for r in compared.rows if r.manoeuvre_s == length and r.method in ("VQF", "Mahony", "Madgwick")
+        ]
         beside = ", ".join(f"{r.method} {r.rms_deg[phase]:.2f}" for r in others)
         out.append(
             Claim(

@@ -172,14 +172,14 @@ def noise_table(found: Experiment) -> Table:
     columns = [
         "angle",
         "gain s",
-        "continuous 1e-6 deg²",
-        "sampled 1e-6 deg²",
-        "running law 1e-6 deg²",
-        "explicit Euler 1e-6 deg²",
+        "continuous mdeg²",
+        "sampled mdeg²",
+        "running law mdeg²",
+        "explicit Euler mdeg²",
     ]
     note = (
-        "gyro noise 0.1 deg/s per sample at 100 Hz; published: 1.548e-6 for heading, from a gyro variance of 0.1, both "
-        "in (deg/s)²"
+        "gyro noise 0.1 deg/s per sample at 100 Hz; 1 mdeg² is 1e-6 deg². Published: 1.548e-6 for heading, from a "
+        "gyro variance of 0.1, both in (deg/s)²"
     )
     return Table("noise", "Variance of the angles under gyro noise", columns, rows, note)
 

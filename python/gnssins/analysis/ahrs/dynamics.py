@@ -105,10 +105,12 @@ def _half_product(w: Array) -> Array:
 def characteristic_polynomial(law: RowLaw, rate_b: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """Characteristic polynomial of a row's error equation, written out.
 
-    Positional:  p³ + Σk p² + (k1k2 + k1k3 + k2k3 + w²) p + k1k2k3 + k1w1² + k2w2² + k3w3².
-    Integral:    q³ + p² w² q with q = p² + k p + k_int.
-    Cross:       p³ + 3k p² + [3k² + n² + w² + 2n(w2 - w3)] p
-                 + k³ + kn² - 2n³ + kw² + 2nk(w2 - w3) + 2n²(w3 - w2) + 2n w2w3.
+    ::
+
+        Positional:  p³ + Σk p² + (k1k2 + k1k3 + k2k3 + w²) p + k1k2k3 + k1w1² + k2w2² + k3w3².
+        Integral:    q³ + p² w² q with q = p² + k p + k_int.
+        Cross:       p³ + 3k p² + [3k² + n² + w² + 2n(w2 - w3)] p
+                     + k³ + kn² - 2n³ + kw² + 2nk(w2 - w3) + 2n²(w3 - w2) + 2n w2w3.
 
     Aleshkin et al. (2021), eq. 18 to 23; the constant term of the cross-coupled law is the determinant of K - W and
     differs from the printed one (:func:`printed_polynomial`).

@@ -142,9 +142,9 @@ class Stability:
 def stability(law: RowLaw | Quaternion, rates: ArrayLike | None = None) -> Stability:
     """Examine a law over body rates.
 
-    For positional and cross-coupled laws |e|' <= -s |e| with s the least eigenvalue of the symmetric part of K, for any
-    rate, constant or not: k - |n| for the cross-coupled one. For the integral law V = |e|² + |x|²/k_int only falls, but
-    one pair of poles slows down with the rate, so that its bound is 0.
+    The error of a positional or cross-coupled law falls at least as exp(-s t), s the least eigenvalue of the symmetric
+    part of K, at any rate, constant or not: k less the magnitude of n for the cross-coupled one. For the integral law
+    ``V = |e|² + |x|² / k_int`` only falls, but one pair of poles slows down with the rate, so that its bound is 0.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _bound(law: RowLaw | Quaternion) -> float:
 def euler_rate_limit(k: float, dt_s: float) -> float:
     """Body rate (rad/s) at which the positional law, stepped by explicit Euler, becomes unstable.
 
-    |1 - kT + j w T| = 1, hence w = sqrt(1 - (1 - kT)²) / T; 0 for kT beyond 2. The compiled law has no such limit.
+    ``|1 - kT + j w T| = 1``, hence w = sqrt(1 - (1 - kT)²) / T; 0 for kT beyond 2. The compiled law has no such limit.
     """
     inside = 1.0 - (1.0 - k * dt_s) ** 2
     return math.sqrt(inside) / dt_s if inside > 0.0 else 0.0

@@ -197,7 +197,8 @@ mod tests {
         let x = considered.update(&h, 0.05, 0.01, Corrects::NotLevel);
         assert_eq!((x[0], x[1]), (0.0, 0.0));
         assert_eq!(considered.level(), before.level());
-        assert!(considered.sd(2) < before.sd(2) && considered.sd(2) > p.sd(2));
+        // the gain of each error is its own optimum: the heading gains as much as by the full update
+        assert!(considered.sd(2) < before.sd(2) && (considered.sd(2) - p.sd(2)).abs() < 1e-15);
     }
 
     #[test]

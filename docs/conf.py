@@ -15,7 +15,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "numpydoc",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "publications/*-filter.md"]  # a part of another page
 templates_path: list[str] = []
 nitpicky = False
 root_doc = "index"

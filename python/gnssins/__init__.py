@@ -18,7 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gnssins import analysis, checks, config, errors, plots, reproduce, result, sim
+    from gnssins import ahrs, analysis, checks, config, errors, plots, reproduce, result, sim
     from gnssins.alignment import InitialState, initial_state
     from gnssins.config import Config, preset_names
     from gnssins.dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuTable, TruthTable
@@ -45,6 +45,7 @@ __all__ = [
     "Simulator",
     "TruthTable",
     "__version__",
+    "ahrs",
     "analysis",
     "checks",
     "config",
@@ -61,7 +62,7 @@ __all__ = [
     "simulate",
 ]
 
-_MODULES = ("analysis", "checks", "config", "errors", "plots", "reproduce", "result", "sim")
+_MODULES = ("ahrs", "analysis", "checks", "config", "errors", "plots", "reproduce", "result", "sim")
 
 _HOME = {
     "BaroTable": "dataset",

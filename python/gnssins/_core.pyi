@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 __all__ = [
     "FreeIns",
     "Navigator",
+    "ahrs_flags",
+    "ahrs_run",
     "aiding_jacobians",
     "dcm_to_quat",
     "ecef_to_lla",
@@ -120,6 +122,13 @@ class _NavigatorState(TypedDict):
     x: _F
     x_sd: _F
 
+class _Ahrs(TypedDict):
+    q_nb: _F
+    bias: _F
+    elements: _F
+    sd: _F
+    flags: NDArray[np.uint16]
+
 def version() -> str:
     """Version of the compiled core."""
 
@@ -182,6 +191,36 @@ def run(
     gnssins.errors.GnssinsError
         Its class and ``code`` say what: time order, gap, covariance, data quality, configuration.
     """
+
+def ahrs_run(config_json: str, t_ns: _I, gyro: _F, accel: _F, mag: _F | None = None) -> _Ahrs:
+    """Run an attitude estimator over a log, with the GIL released.
+
+    Parameters
+    ----------
+    config_json
+        ``{"method", "settings", "input", "max_gap_ns"}``; built by :func:`gnssins.ahrs.run`.
+    t_ns, gyro, accel
+        Rows, shapes (n,), (n, 3), (n, 3): rates (rad/s, m/s²) or increments (rad, m/s) as ``input`` says. A row of
+        ``gyro`` that is not finite leaves its interval to the next one.
+    mag
+        Magnetic field, shape (n, 3), any unit; NaN where there is none.
+
+    Returns
+    -------
+    dict
+        ``q_nb`` (n, 4), ``bias`` (n, 3) in rad/s, ``elements`` (n, 3): roll, pitch, heading (rad) read from single
+        direction cosines, (0, 3) for estimators without them; ``sd`` (n, 6): 1σ of the attitude error about north,
+        east, down (rad) and of the bias (rad/s), (0, 6) for estimators without them; ``flags`` (n,), bits as in
+        :func:`ahrs_flags`.
+
+    Raises
+    ------
+    gnssins.errors.GnssinsError
+        Configuration, time order, gap.
+    """
+
+def ahrs_flags() -> list[tuple[str, int]]:
+    """Names of the flags of :func:`ahrs_run` and their bits."""
 
 @final
 class Navigator:

@@ -26,6 +26,7 @@ pub struct EngineConfig {
     pub ellipsoid: String,
     pub gravity: Gravity,
     pub coning: Coning,
+    #[serde(default)]
     pub attitude_form: AttitudeForm,
     pub phi_order: u8,
     #[serde(default)]

@@ -1,5 +1,6 @@
 //! Python binding of the `gnssins` crate: conversion of arguments and results, no mathematics.
 
+mod ahrs;
 mod config;
 mod convert;
 mod engine;
@@ -31,6 +32,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(config::preset_json, m)?)?;
     m.add_function(wrap_pyfunction!(config::preset_summary, m)?)?;
     m.add_function(wrap_pyfunction!(run::run, m)?)?;
+    m.add_function(wrap_pyfunction!(ahrs::ahrs_run, m)?)?;
+    m.add_function(wrap_pyfunction!(ahrs::ahrs_flags, m)?)?;
     m.add_class::<navigator::Navigator>()?;
     m.add_class::<free::FreeIns>()?;
     m.add_function(wrap_pyfunction!(free::strapdown_three_rate, m)?)?;

@@ -9,6 +9,7 @@
 //! | [`discretise`], [`cov`], [`ekf`] | transition and noise, covariance, the filter |
 //! | [`meas`] | measurements |
 //! | [`inverse`], [`vertical`] | exact increments for a given motion, INS without aids, its vertical channel |
+//! | [`ahrs`] | attitude from gyro, accelerometer, magnetometer alone |
 //! | [`stream`] | rows in time order to a filter: gaps, fixes between samples, counts |
 //!
 //! Units are SI and radians; body axes are forward, right, down; time is integer nanoseconds. The crate needs neither
@@ -37,6 +38,7 @@
 #![cfg_attr(not(feature = "std"), no_std)]
 #![deny(missing_docs)]
 
+pub mod ahrs;
 pub mod attitude;
 pub mod blocks;
 pub mod bytes;

@@ -123,10 +123,8 @@ fn predict<M: NavModel, const CAP: usize, const N: usize>(c: &mut Criterion) {
             for i in 0..N {
                 (phi[(i, i)], q[(i, i)]) = (t.blocks.diagonal[i], t.blocks.q[i]);
             }
-            for (i, row) in t.top.iter().enumerate() {
-                for (j, v) in row.iter().enumerate().take(N) {
-                    phi[(i, j)] = *v;
-                }
+            for (i, j) in (0..9).flat_map(|i| (0..N).map(move |j| (i, j))) {
+                phi[(i, j)] = t.top(i, j);
             }
             q.fixed_view_mut::<3, 3>(0, 0).copy_from(&t.q_phi);
             q.fixed_view_mut::<3, 3>(3, 3).copy_from(&t.q_dv);

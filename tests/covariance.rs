@@ -37,8 +37,8 @@ fn real_transition(layout: &Layout<CAP>, dt_s: f64, order: Order) -> Transition<
 fn random_transition(layout: &Layout<CAP>, rng: &mut Rng) -> Transition<CAP> {
     let n = layout.len();
     let mut t = real_transition(layout, 0.01, Order::Third);
-    for row in &mut t.top {
-        row[..n].fill_with(|| rng.unit());
+    for (i, j) in (0..9).flat_map(|i| (0..n).map(move |j| (i, j))) {
+        t.set_top(i, j, rng.unit());
     }
     for j in 9..n {
         (t.blocks.diagonal[j], t.blocks.q[j]) = (0.5 + 0.5 * rng.unit(), 0.1 * (1.0 + rng.unit()));
@@ -223,12 +223,7 @@ fn symmetry_is_exact_over_many_predictions_and_updates() {
 fn check_names_the_state_that_is_not_positive_definite() {
     let layout = Layout::<CAP>::new(&blocks(21)).unwrap();
     let broken = |change: &dyn Fn(&mut Transition<CAP>)| {
-        let mut t = Transition {
-            top: std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j)))),
-            blocks: BlockStep::new(&layout, 0.0, 0.0),
-            q_phi: Matrix3::zeros(),
-            q_dv: Matrix3::zeros(),
-        };
+        let mut t = Transition::identity(&BlockStep::new(&layout, 0.0, 0.0));
         change(&mut t);
         let mut cov = Covariance::<CAP>::from_variances(&[1.0; CAP], 21);
         cov.predict(&t);
@@ -265,4 +260,37 @@ fn a_filter_that_starts_indefinite_is_refused() {
     start.sd_v.y = 1e-200;
     let made = Ekf::<Ned, 16>::new(&settings(), &[], &start);
     assert!(matches!(made, Err(Error::Covariance { state: 4, .. })), "{made:?}");
+}
+
+#[test]
+fn every_set_of_instructions_gives_the_same_covariance() {
+    use gnssins::simd::Isa;
+    let mut rng = Rng(77);
+    for states in [15, 18, 21, 22] {
+        let layout = Layout::<CAP>::new(&blocks(states)).unwrap();
+        let t = random_transition(&layout, &mut rng);
+        let a = DMatrix::from_fn(states, states, |_, _| rng.unit());
+        let start = &a * a.transpose();
+        let on = |isa: Isa| {
+            let mut cov = Covariance::<CAP>::from_variances(&[1.0; CAP], states);
+            // a full matrix by fusing rows: the public way to one
+            for i in 0..states {
+                let mut h = [0.0; CAP];
+                h[..states].copy_from_slice(&start.column(i).as_slice()[..states]);
+                cov.update(&h).unwrap();
+            }
+            cov.predict_on(isa, &t);
+            cov
+        };
+        let portable = on(Isa::Portable);
+        for isa in [Isa::Avx2, Isa::Avx512] {
+            assert!(isa.available() as u8 <= isa as u8);
+            let wide = on(isa);
+            let p = common::dense(&portable);
+            // fused products round once where the portable path rounds twice
+            assert!(common::distance(&common::dense(&wide), &p, &p.diagonal()) < 1e-13, "{isa:?} {states}");
+        }
+        // the widths of the vectors change no order of summation
+        assert_eq!(on(Isa::Avx2), on(Isa::Avx512));
+    }
 }

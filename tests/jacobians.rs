@@ -225,7 +225,7 @@ fn check_sensor_columns<M: NavModel>(states: usize) {
         let limits = [1e-3, 1e-2, if gyro { 0.4 } else { 1e-2 }];
         for (i, want) in d.iter().enumerate() {
             let row = d.fixed_rows::<3>(i / 3 * 3).amax();
-            let (got, limit) = (t.top[i][j], limits[i / 3] * row + 1e-9);
+            let (got, limit) = (t.top(i, j), limits[i / 3] * row + 1e-9);
             assert!((got - want).abs() <= limit, "{} ({i}, {j}): {got:e}, {want:e}", M::NAME);
         }
     }
@@ -263,7 +263,7 @@ fn check_navigation_columns<M: NavModel>() {
     // without the identity, so that small terms show
     for (bi, bj) in (0..9).step_by(3).flat_map(|i| (0..9).step_by(3).map(move |j| (i, j))) {
         let block = |i: usize, j: usize| if i / 3 == j / 3 { Matrix3::identity() } else { Matrix3::zeros() };
-        let got = Matrix3::from_fn(|i, j| t.top[bi + i][bj + j]) - block(bi, bj);
+        let got = Matrix3::from_fn(|i, j| t.top(bi + i, bj + j)) - block(bi, bj);
         let want = phi.fixed_view::<3, 3>(bi, bj) - block(bi, bj);
         // position feels an attitude error by dt³/4 of the trapezoid instead of dt³/6
         let limit = if (bi, bj) == (6, 0) { 3e-4 } else { 3e-6 };

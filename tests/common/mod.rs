@@ -269,7 +269,7 @@ pub fn dense<const CAP: usize>(cov: &Covariance<CAP>) -> DMatrix<f64> {
 /// Phi and Q of a transition, dense.
 pub fn dense_transition<const CAP: usize>(t: &Transition<CAP>, n: usize) -> (DMatrix<f64>, DMatrix<f64>) {
     let phi = DMatrix::from_fn(n, n, |i, j| match (i, j) {
-        (i, j) if i < 9 => t.top[i][j],
+        (i, j) if i < 9 => t.top(i, j),
         (i, j) if i == j => t.blocks.diagonal[i],
         _ => 0.0,
     });

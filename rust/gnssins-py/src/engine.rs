@@ -49,8 +49,9 @@ impl Linear {
     fn carry<const CAP: usize>(&mut self, t: &Transition<CAP>) {
         let n = self.n;
         let mut top = vec![0.0; NAV * n];
-        for (out, row) in top.chunks_exact_mut(n).zip(&t.top) {
-            for (a, since) in row.iter().zip(self.since.chunks_exact(n)).filter(|(a, _)| **a != 0.0) {
+        for (i, out) in top.chunks_exact_mut(n).enumerate() {
+            for (j, since) in self.since.chunks_exact(n).enumerate().filter(|(j, _)| t.top(i, *j) != 0.0) {
+                let a = t.top(i, j);
                 out.iter_mut().zip(since).for_each(|(o, s)| *o += a * s);
             }
         }

@@ -1,15 +1,17 @@
 //! Covariance: block-structured prediction, scalar Joseph update, health.
 
-use crate::discretise::Transition;
+use crate::discretise::{Column, Transition};
 use crate::error::Error;
 use crate::math;
 use crate::nav::NAV;
+use crate::simd::{self, Aligned, Isa, Kernel, madd};
 
 /// Columns that the prediction kernel keeps in registers.
 const LANES: usize = 8;
 
 /// Symmetric covariance of up to `CAP` states; rows beyond the `n` in use are zero. `CAP` is a multiple of 8.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(align(64))]
 pub struct Covariance<const CAP: usize> {
     p: [[f64; CAP]; CAP],
     n: usize,
@@ -61,33 +63,51 @@ impl<const CAP: usize> Covariance<CAP> {
         self.p[j][i] = value;
     }
 
-    /// `P <- Phi (P + Q/2) Phi' + Q/2` with Phi = [A B; 0 D], D diagonal: the product is never formed n x n.
+    /// `P <- Phi (P + Q/2) Phi' + Q/2` with Phi = [A B; 0 D], D diagonal: the product is never formed n x n. Runs on the
+    /// widest instructions of the machine.
     pub fn predict(&mut self, t: &Transition<CAP>) {
+        self.predict_on(Isa::detect(), t);
+    }
+
+    /// As [`Covariance::predict`], on a given set of instructions where the machine has it.
+    pub fn predict_on(&mut self, isa: Isa, t: &Transition<CAP>) {
+        simd::run(isa, Predict { cov: self, t });
+    }
+
+    #[inline(always)]
+    pub(crate) fn predict_kernel<const FMA: bool, const TILE: usize>(&mut self, t: &Transition<CAP>) {
         let n = self.n;
         t.add_half_noise(&mut self.p);
+        let columns = &t.columns;
         // W = [A B] P, nine rows
-        let w = multiply_rows(&t.top, &self.p, n);
-        // navigation block: W [A B]', lower triangle mirrored
-        for i in 0..NAV {
-            for j in 0..=i {
-                let dot = dot(&w[i], &t.top[j]);
-                self.set(i, j, dot);
-            }
-        }
-        // cross block: W D, and its mirror
+        let w = multiply_rows::<FMA, TILE, CAP>(columns, &self.p, n).0;
+        // navigation block: W [A B]'
+        let nav = times_transposed::<FMA, TILE, CAP>(&w, columns, n);
         let d = &t.blocks.diagonal;
         for i in 0..NAV {
-            for j in NAV..n {
-                let value = w[i][j] * d[j];
-                self.set(i, j, value);
+            // cross block: W D
+            for (p, (w, d)) in self.p[i].iter_mut().zip(w[i].iter().zip(d)) {
+                *p = w * d;
+            }
+            for j in 0..=i.min(LANES - 1) {
+                (self.p[i][j], self.p[j][i]) = (nav[i][j], nav[i][j]);
             }
         }
+        self.p[NAV - 1][NAV - 1] =
+            w[NAV - 1].iter().zip(&columns.0).fold(0.0, |sum, (w, c)| madd::<FMA>(*w, c[NAV - 1], sum));
+        let (top, rest) = self.p.split_at_mut(NAV);
         // block by block: D P D
         if t.blocks.decays {
-            for i in NAV..n {
-                for j in NAV..n {
-                    self.p[i][j] *= d[i] * d[j];
+            for (row, di) in rest.iter_mut().zip(&d[NAV..]).take(n - NAV) {
+                for (p, dj) in row.iter_mut().zip(d) {
+                    *p *= di * dj;
                 }
+            }
+        }
+        // the mirror of the cross block
+        for (j, row) in rest.iter_mut().enumerate().take(n - NAV) {
+            for i in 0..NAV {
+                row[i] = top[i][NAV + j];
             }
         }
         t.add_half_noise(&mut self.p);
@@ -98,38 +118,51 @@ impl<const CAP: usize> Covariance<CAP> {
     ///
     /// Returns the gain k = P h'/(h P h' + 1), or `None` (nothing changed) when h P h' + 1 is not positive.
     pub fn update(&mut self, h: &[f64; CAP]) -> Option<[f64; CAP]> {
+        let gain = self.update_kernel::<false>(h)?;
+        self.mirror();
+        Some(gain)
+    }
+
+    /// As [`Covariance::update`], without the mirroring: what is left of asymmetry after some rows is rounding.
+    #[inline(always)]
+    pub(crate) fn update_kernel<const FMA: bool>(&mut self, h: &[f64; CAP]) -> Option<[f64; CAP]> {
         let n = self.n;
-        let ph = self.times(h);
-        let s = dot(h, &ph) + 1.0;
+        let ph = self.times_kernel::<FMA>(h);
+        let s = dot::<FMA, CAP>(h, &ph) + 1.0;
         if !(s.is_finite() && s > 0.0) {
             return None;
         }
-        let k = ph.map(|v| v / s);
-        let mut ah = [0.0; CAP];
-        for ((row, &ki), ahi) in self.p.iter_mut().zip(&k).zip(&mut ah).take(n) {
+        let inverse = 1.0 / s;
+        let k = ph.map(|v| v * inverse);
+        for (row, &ki) in self.p.iter_mut().zip(&k).take(n) {
             for (a, &hp) in row.iter_mut().zip(&ph) {
-                *a -= ki * hp;
+                *a = madd::<FMA>(-ki, hp, *a);
             }
-            *ahi = dot(row, h);
         }
+        let ah = self.times_kernel::<FMA>(h);
         for ((row, &ki), &ahi) in self.p.iter_mut().zip(&k).zip(&ah).take(n) {
             let c = ki - ahi;
             for (a, &kj) in row.iter_mut().zip(&k) {
-                *a += c * kj;
+                *a = madd::<FMA>(c, kj, *a);
             }
         }
-        self.mirror();
         Some(k)
     }
 
     /// P h' for a row h.
     #[must_use]
     pub fn times(&self, h: &[f64; CAP]) -> [f64; CAP] {
+        self.times_kernel::<false>(h)
+    }
+
+    /// Zeros of h are skipped: a row of an aid has a handful of others.
+    #[inline(always)]
+    pub(crate) fn times_kernel<const FMA: bool>(&self, h: &[f64; CAP]) -> [f64; CAP] {
         let mut out = [0.0; CAP];
         for (row, &hj) in self.p.iter().zip(h).take(self.n) {
             if hj != 0.0 {
                 for (o, &a) in out.iter_mut().zip(row) {
-                    *o += hj * a;
+                    *o = madd::<FMA>(hj, a, *o);
                 }
             }
         }
@@ -174,11 +207,23 @@ impl<const CAP: usize> Covariance<CAP> {
     }
 
     /// Copies the lower triangle to the upper: symmetry is exact by construction.
-    fn mirror(&mut self) {
+    pub(crate) fn mirror(&mut self) {
         for i in 0..self.n {
             for j in 0..i {
                 self.p[j][i] = self.p[i][j];
             }
+        }
+    }
+
+    /// Verifies that all variances are finite and positive: what can be asked after every measurement.
+    ///
+    /// # Errors
+    /// [`Error::Covariance`] with the first state that fails and its variance.
+    pub(crate) fn check_variances(&self, t_ns: i64) -> Result<(), Error> {
+        let bad = |v: f64| !(v.is_finite() && v > 0.0);
+        match (0..self.n).find(|i| bad(self.p[*i][*i])) {
+            Some(state) => Err(Error::Covariance { t_ns, state, pivot: self.p[state][state] }),
+            None => Ok(()),
         }
     }
 
@@ -214,41 +259,82 @@ impl<const CAP: usize> Covariance<CAP> {
     }
 }
 
-fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+/// The covariance prediction as a kernel.
+struct Predict<'a, const CAP: usize> {
+    cov: &'a mut Covariance<CAP>,
+    t: &'a Transition<CAP>,
+}
+
+impl<const CAP: usize> Kernel for Predict<'_, CAP> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<const FMA: bool, const TILE: usize>(self) {
+        self.cov.predict_kernel::<FMA, TILE>(self.t);
+    }
+}
+
+/// Scalar product, summed in [`LANES`] strands.
+#[inline(always)]
+pub(crate) fn dot<const FMA: bool, const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     let mut sum = [0.0; LANES];
     for (x, y) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
         for ((s, x), y) in sum.iter_mut().zip(x).zip(y) {
-            *s += x * y;
+            *s = madd::<FMA>(*x, *y, *s);
         }
     }
     sum.iter().sum()
 }
 
-/// Columns that the product keeps in registers beside three rows of factors.
-const TILE: usize = 4;
+/// Nine rows, column by column.
+type Columns<const CAP: usize> = Aligned<[Column; CAP]>;
 
-/// Nine rows times a matrix with `n` rows in use. Three rows at a time share each load of `b`.
-fn multiply_rows<const CAP: usize>(
-    a: &[[f64; CAP]; NAV],
+/// Nine rows, given by columns, times a matrix with `n` rows in use. `TILE` columns of all nine rows are summed at a
+/// time, so that each element of `b` is read once.
+#[inline(always)]
+fn multiply_rows<const FMA: bool, const TILE: usize, const CAP: usize>(
+    a: &Columns<CAP>,
     b: &[[f64; CAP]; CAP],
     n: usize,
-) -> [[f64; CAP]; NAV] {
-    let mut out = [[0.0; CAP]; NAV];
-    for (a3, out3) in a.as_chunks::<3>().0.iter().zip(out.as_chunks_mut::<3>().0) {
-        let [a0, a1, a2] = a3;
-        for tile in 0..n.div_ceil(TILE) {
-            let [mut c0, mut c1, mut c2] = [[0.0; TILE]; 3];
-            for (((row, f0), f1), f2) in b.iter().zip(a0).zip(a1).zip(a2).take(n) {
-                let x = &row.as_chunks::<TILE>().0[tile];
+) -> Aligned<[[f64; CAP]; NAV]> {
+    let mut out = Aligned([[0.0; CAP]; NAV]);
+    for tile in 0..n.div_ceil(TILE) {
+        let mut sum = [[0.0; TILE]; NAV];
+        for (a, row) in a.0.iter().zip(b).take(n) {
+            let x = &row.as_chunks::<TILE>().0[tile];
+            for (s, f) in sum.iter_mut().zip(a) {
                 for j in 0..TILE {
-                    c0[j] += f0 * x[j];
-                    c1[j] += f1 * x[j];
-                    c2[j] += f2 * x[j];
+                    s[j] = madd::<FMA>(*f, x[j], s[j]);
                 }
             }
-            for (o, c) in out3.iter_mut().zip([c0, c1, c2]) {
-                o.as_chunks_mut::<TILE>().0[tile] = c;
+        }
+        for (o, s) in out.0.iter_mut().zip(sum) {
+            o.as_chunks_mut::<TILE>().0[tile] = s;
+        }
+    }
+    out
+}
+
+/// The first eight columns of nine rows times the transpose of nine others, given by columns.
+#[inline(always)]
+fn times_transposed<const FMA: bool, const TILE: usize, const CAP: usize>(
+    w: &[[f64; CAP]; NAV],
+    columns: &Columns<CAP>,
+    n: usize,
+) -> [[f64; LANES]; NAV] {
+    let mut out = [[0.0; LANES]; NAV];
+    for tile in 0..LANES / TILE {
+        let mut sum = [[0.0; TILE]; NAV];
+        for (k, column) in columns.0.iter().enumerate().take(n) {
+            let x = &column.as_chunks::<TILE>().0[tile];
+            for (s, w) in sum.iter_mut().zip(w) {
+                for j in 0..TILE {
+                    s[j] = madd::<FMA>(w[k], x[j], s[j]);
+                }
             }
+        }
+        for (o, s) in out.iter_mut().zip(sum) {
+            o.as_chunks_mut::<TILE>().0[tile] = s;
         }
     }
     out

@@ -6,6 +6,7 @@ use crate::blocks::{Coupling, Input, Source};
 use crate::error::Error;
 use crate::layout::Layout;
 use crate::nav::{DV, Dynamics, NAV, PHI};
+use crate::simd::{Aligned, madd};
 
 /// Highest power of F dt in the series of the transition matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -78,11 +79,17 @@ impl<const CAP: usize> BlockStep<CAP> {
     }
 }
 
+/// Rows of a column of nine, padded to whole vectors.
+pub(crate) const COLUMN: usize = 16;
+
+/// One column of nine rows.
+pub(crate) type Column = [f64; COLUMN];
+
 /// The upper nine rows of Phi (the rest is diagonal) and the process noise of one interval.
 #[derive(Debug, Clone, Copy)]
 pub struct Transition<const CAP: usize> {
-    /// Rows 0 to 8 of Phi over all states.
-    pub top: [[f64; CAP]; NAV],
+    /// Rows 0 to 8 of Phi, state by state.
+    pub(crate) columns: Aligned<[Column; CAP]>,
     /// The rest of Phi, and the noise of the block states.
     pub blocks: BlockStep<CAP>,
     /// Noise of the attitude errors over the interval, rad².
@@ -91,45 +98,47 @@ pub struct Transition<const CAP: usize> {
     pub q_dv: Matrix3<f64>,
 }
 
-/// Width of a row of [F | gyro coupling | accelerometer coupling], padded to whole vector registers.
-const WIDTH: usize = 16;
-/// First column of the gyro coupling in such a row.
+/// Columns of [F | gyro coupling | accelerometer coupling].
+const WIDTH: usize = NAV + 6;
+/// First column of the gyro coupling.
 const GYRO: usize = NAV;
 /// First column of the accelerometer coupling.
 const ACCEL: usize = NAV + 3;
 
-/// Nine rows of [F | gyro coupling | accelerometer coupling] or of their products with F.
-type Wide = [[f64; WIDTH]; NAV];
+/// [F | gyro coupling | accelerometer coupling] or its product with F, column by column.
+type Wide = Aligned<[Column; WIDTH]>;
 
+#[inline(always)]
 fn widen(dynamics: &Dynamics) -> Wide {
-    let mut wide = [[0.0; WIDTH]; NAV];
-    for j in 0..NAV {
+    let mut wide = Aligned([[0.0; COLUMN]; WIDTH]);
+    for (j, column) in wide.0.iter_mut().enumerate().take(NAV) {
         for i in 0..NAV {
-            wide[i][j] = dynamics.f[(i, j)];
+            column[i] = dynamics.f[(i, j)];
         }
     }
     for j in 0..3 {
         for i in 0..3 {
-            wide[PHI + i][GYRO + j] = -dynamics.c[(i, j)];
-            wide[DV + i][ACCEL + j] = dynamics.c[(i, j)];
+            wide.0[GYRO + j][PHI + i] = -dynamics.c[(i, j)];
+            wide.0[ACCEL + j][DV + i] = dynamics.c[(i, j)];
         }
     }
     wide
 }
 
-/// F times nine rows; about half of F is zero and is skipped.
-fn times_f(f: &Wide, x: &Wide) -> Wide {
-    let mut out = [[0.0; WIDTH]; NAV];
-    for (row, factors) in out.iter_mut().zip(f) {
-        let mut sum = [0.0; WIDTH];
-        for (&a, x) in factors.iter().zip(x) {
+/// F times columns; about half of F is zero and most of the couplings are, which is skipped.
+#[inline(always)]
+fn times_f<const FMA: bool>(f: &Wide, x: &Wide) -> Wide {
+    let mut out = Aligned([[0.0; COLUMN]; WIDTH]);
+    for (o, x) in out.0.iter_mut().zip(&x.0) {
+        let mut sum = [0.0; COLUMN];
+        for (&a, f) in x.iter().zip(&f.0).take(NAV) {
             if a != 0.0 {
-                for (s, x) in sum.iter_mut().zip(x) {
-                    *s += a * x;
+                for (s, f) in sum.iter_mut().zip(f) {
+                    *s = madd::<FMA>(a, *f, *s);
                 }
             }
         }
-        *row = sum;
+        *o = sum;
     }
     out
 }
@@ -150,34 +159,48 @@ impl<const CAP: usize> Transition<CAP> {
         blocks: &BlockStep<CAP>,
         order: Order,
     ) -> Self {
+        Self::of::<false>(dynamics, layout, noise, w_b, f_b, blocks, order)
+    }
+
+    /// As [`Transition::new`], for a kernel.
+    #[inline(always)]
+    pub(crate) fn of<const FMA: bool>(
+        dynamics: &Dynamics,
+        layout: &Layout<CAP>,
+        noise: &ImuNoise,
+        w_b: &Vector3<f64>,
+        f_b: &Vector3<f64>,
+        blocks: &BlockStep<CAP>,
+        order: Order,
+    ) -> Self {
         let c = &dynamics.c;
         let dt = blocks.dt_s;
         // F^k [F | g]: the series of Phi_nn, and of a coupling column with decay rate a,
         // Phi_nb = c1 + a c2 + a² c3, c1 = g dt + F g dt²/2 + F² g dt³/6, c2 = g dt²/2 + F g dt³/6, c3 = g dt³/6
         let (h2, h3) = (dt * dt / 2.0, dt * dt * dt / 6.0);
         let x1 = widen(dynamics);
-        let zero = [[0.0; WIDTH]; NAV];
+        let zero = Aligned([[0.0; COLUMN]; WIDTH]);
         let (x2, x3, h2, h3) = match order {
             Order::First => (zero, zero, 0.0, 0.0),
-            Order::Second => (times_f(&x1, &x1), zero, h2, 0.0),
+            Order::Second => (times_f::<FMA>(&x1, &x1), zero, h2, 0.0),
             Order::Third => {
-                let x2 = times_f(&x1, &x1);
-                (x2, times_f(&x1, &x2), h2, h3)
+                let x2 = times_f::<FMA>(&x1, &x1);
+                (x2, times_f::<FMA>(&x1, &x2), h2, h3)
             }
         };
         let mut c1 = zero;
-        for i in 0..NAV {
-            for j in 0..WIDTH {
-                c1[i][j] = dt * x1[i][j] + h2 * x2[i][j] + h3 * x3[i][j];
+        for (c1, ((x1, x2), x3)) in c1.0.iter_mut().zip(x1.0.iter().zip(&x2.0).zip(&x3.0)) {
+            for i in 0..COLUMN {
+                c1[i] = madd::<FMA>(h3, x3[i], madd::<FMA>(h2, x2[i], dt * x1[i]));
             }
         }
 
-        let mut top = [[0.0; CAP]; NAV];
-        for (i, (row, c1)) in top.iter_mut().zip(&c1).enumerate() {
-            row[..NAV].copy_from_slice(&c1[..NAV]);
-            row[i] += 1.0;
+        let mut columns = Aligned([[0.0; COLUMN]; CAP]);
+        for (j, (column, c1)) in columns.0.iter_mut().zip(&c1.0).enumerate().take(NAV) {
+            *column = *c1;
+            column[j] += 1.0;
         }
-        for (j, state) in layout.states() {
+        for (column, (_, state)) in columns.0.iter_mut().skip(NAV).zip(layout.states()) {
             let (start, Input { axis, source }, true_value) = match state.coupling {
                 Coupling::Gyro(input) => (GYRO, input, w_b),
                 Coupling::Accel(input) => (ACCEL, input, f_b),
@@ -188,9 +211,16 @@ impl<const CAP: usize> Transition<CAP> {
                 Source::Component(k) => true_value[k],
             };
             let (k, a) = (start + axis, state.decay);
-            for i in 0..NAV {
-                let decaying = if a == 0.0 { 0.0 } else { h2 * x1[i][k] + h3 * (x2[i][k] + a * x1[i][k]) };
-                top[i][j] = factor * (c1[i][k] + a * decaying);
+            let (x1, x2, c1) = (&x1.0[k], &x2.0[k], &c1.0[k]);
+            if a == 0.0 {
+                for i in 0..COLUMN {
+                    column[i] = factor * c1[i];
+                }
+            } else {
+                for i in 0..COLUMN {
+                    let decaying = h2 * x1[i] + h3 * (x2[i] + a * x1[i]);
+                    column[i] = factor * (c1[i] + a * decaying);
+                }
             }
         }
         // the halves of a product and of its transpose: symmetric to the last bit
@@ -198,19 +228,48 @@ impl<const CAP: usize> Transition<CAP> {
             let q = c * Matrix3::from_diagonal(&(psd * dt)) * c.transpose();
             0.5 * (q + q.transpose())
         };
-        Self { top, blocks: *blocks, q_phi: turned(&noise.gyro_psd), q_dv: turned(&noise.accel_psd) }
+        Self { columns, blocks: *blocks, q_phi: turned(&noise.gyro_psd), q_dv: turned(&noise.accel_psd) }
+    }
+
+    /// A transition that changes nothing: Phi = I over the navigation errors, no noise of theirs.
+    #[must_use]
+    pub fn identity(blocks: &BlockStep<CAP>) -> Self {
+        let mut columns = Aligned([[0.0; COLUMN]; CAP]);
+        for (i, column) in columns.0.iter_mut().enumerate().take(NAV) {
+            column[i] = 1.0;
+        }
+        Self { columns, blocks: *blocks, q_phi: Matrix3::zeros(), q_dv: Matrix3::zeros() }
+    }
+
+    /// Element (i, j) of the upper nine rows of Phi; 0 outside.
+    #[must_use]
+    pub fn top(&self, i: usize, j: usize) -> f64 {
+        self.columns.0.get(j).filter(|_| i < NAV).map_or(0.0, |column| column[i])
+    }
+
+    /// Sets element (i, j) of the upper nine rows of Phi; nothing outside.
+    pub fn set_top(&mut self, i: usize, j: usize, value: f64) {
+        if let Some(column) = self.columns.0.get_mut(j).filter(|_| i < NAV) {
+            column[i] = value;
+        }
     }
 
     /// Carries an error estimate over the interval.
     pub(crate) fn carry(&self, x: &mut [f64; CAP]) {
-        let top = self.top.map(|row| row.iter().zip(&*x).map(|(a, x)| a * x).sum::<f64>());
+        let mut top = [0.0; COLUMN];
+        for (column, x) in self.columns.0.iter().zip(&*x) {
+            for (t, c) in top.iter_mut().zip(column) {
+                *t += c * x;
+            }
+        }
         for (x, d) in x.iter_mut().zip(&self.blocks.diagonal) {
             *x *= d;
         }
-        x[..NAV].copy_from_slice(&top);
+        x[..NAV].copy_from_slice(&top[..NAV]);
     }
 
     /// Adds half of the process noise to a covariance.
+    #[inline(always)]
     pub(crate) fn add_half_noise(&self, p: &mut [[f64; CAP]; CAP]) {
         for (start, q) in [(PHI, &self.q_phi), (DV, &self.q_dv)] {
             for i in 0..3 {

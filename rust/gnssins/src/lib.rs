@@ -55,6 +55,7 @@ pub mod math;
 pub mod meas;
 pub mod nav;
 pub mod presets;
+pub mod simd;
 pub mod small;
 pub mod stream;
 pub mod time;

@@ -1,6 +1,7 @@
 //! Whether a measurement is to be believed: innovation, its covariance, and the tests on both.
 
 use super::{Ekf, Gate};
+use crate::cov::dot;
 use crate::error::Error;
 use crate::math;
 use crate::meas::{BadReason, PART, Record, Rows, Source, Status, Test};
@@ -29,8 +30,12 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let mut s = rows.r;
         for i in 0..rows.len {
             let ph = self.cov.times(&rows.h[i]);
-            for j in 0..rows.len {
-                s[i][j] += rows.h[j].iter().zip(&ph).map(|(h, p)| h * p).sum::<f64>();
+            for j in 0..=i {
+                let hph = dot::<false, CAP>(&rows.h[j], &ph);
+                s[i][j] += hph;
+                if j < i {
+                    s[j][i] += hph;
+                }
             }
             if s[i][i] > PRECISION * rows.r[i][i] {
                 return Ok(Err(BadReason::Covariance));

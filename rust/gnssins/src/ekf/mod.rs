@@ -10,14 +10,15 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::attitude::{self, skew};
 use crate::blocks::Block;
-use crate::cov::Covariance;
-use crate::discretise::{BlockStep, ImuNoise, Transition};
+use crate::cov::{Covariance, dot};
+use crate::discretise::{BlockStep, ImuNoise, Order, Transition};
 use crate::error::Error;
 use crate::imu::{Calibration, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
 use crate::meas::{BadReason, Measurement, Record, Rows, SOURCES, Status, View};
 use crate::nav::kinematics::AttitudeForm;
 use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
+use crate::simd::{self, Isa, Kernel, madd};
 use crate::small::{self, ROWS_MAX};
 
 /// Nanoseconds per second.
@@ -39,6 +40,7 @@ pub struct Ekf<M, const CAP: usize> {
     /// Variances that a change of constellation adds, where it adds any.
     jump: Option<[f64; CAP]>,
     spatial: bool,
+    isa: Isa,
     t_ns: i64,
     params: [f64; CAP],
     /// Error estimate that is not yet fed back, and the time of the last feedback.
@@ -78,6 +80,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             floor: floor(&layout, &settings.floor),
             jump: layout.jump(),
             spatial: layout.is_spatial(),
+            isa: Isa::detect(),
             t_ns: initial.t_ns,
             params,
             waiting: None,
@@ -249,16 +252,19 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             0.0
         };
         self.block_step.fit(&self.layout, dt_s, speed_m_s);
-        let transition = Transition::new(
-            &dynamics,
-            &self.layout,
-            &noise,
-            &w_b,
-            &f_b,
-            &self.block_step,
-            self.settings.order,
+        let transition = simd::run(
+            self.isa,
+            Propagate {
+                cov: &mut self.cov,
+                dynamics: &dynamics,
+                layout: &self.layout,
+                noise: &noise,
+                w_b: &w_b,
+                f_b: &f_b,
+                blocks: &self.block_step,
+                order: self.settings.order,
+            },
         );
-        self.cov.predict(&transition);
         if let Some(x) = &mut self.waiting {
             transition.carry(x);
         }
@@ -275,9 +281,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         if new_second { self.check() } else { Ok(()) }
     }
 
-    /// Health of the covariance, looked at once per second and after every measurement.
+    /// Health of the covariance, looked at once per second; after a measurement only its diagonal is.
     fn check(&self) -> Result<(), Error> {
         self.cov.check(self.t_ns)?;
+        self.check_position()
+    }
+
+    /// Whether the position is still one.
+    fn check_position(&self) -> Result<(), Error> {
         let sd_m = (DP..DP + 3).map(|i| crate::math::sqrt(self.cov.get(i, i))).fold(0.0, f64::max);
         if sd_m > UNKNOWN_M { Err(Error::Unbounded { t_ns: self.t_ns, sd_m }) } else { Ok(()) }
     }
@@ -381,14 +392,12 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let mut y = rows.y.map(|y| [y]);
         small::forward(&l, &mut y, rows.len);
         small::forward(&l, &mut rows.h, rows.len);
-        let mut x = [0.0; CAP];
-        for (h, y) in rows.h.iter().zip(&y).take(rows.len) {
-            let left = y[0] - h.iter().zip(&x).map(|(h, x)| h * x).sum::<f64>();
-            let gain = self.cov.update(h).ok_or(bad(f64::NAN))?;
-            for (x, k) in x.iter_mut().zip(&gain) {
-                *x += k * left;
-            }
-        }
+        let kernel = Fuse { cov: &mut self.cov, rows: &rows, y: &y };
+        let mut x = simd::run(self.isa, kernel).ok_or(Error::Covariance {
+            t_ns: self.t_ns,
+            state: DP,
+            pivot: f64::NAN,
+        })?;
         if let Some(floor) = &self.floor {
             self.cov.raise_to(floor);
         }
@@ -403,7 +412,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         } else {
             self.waiting = Some(x);
         }
-        self.check()
+        self.cov.check_variances(self.t_ns)?;
+        self.check_position()
     }
 
     /// Moves the error estimate into the state. The attitude error is then measured from another estimate,
@@ -479,6 +489,56 @@ const UNKNOWN_M: f64 = 1e6;
 
 const NO_NOISE: ImuNoise =
     ImuNoise { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };
+
+/// Transition of one interval and the covariance through it.
+struct Propagate<'a, const CAP: usize> {
+    cov: &'a mut Covariance<CAP>,
+    dynamics: &'a Dynamics,
+    layout: &'a Layout<CAP>,
+    noise: &'a ImuNoise,
+    w_b: &'a Vector3<f64>,
+    f_b: &'a Vector3<f64>,
+    blocks: &'a BlockStep<CAP>,
+    order: Order,
+}
+
+impl<const CAP: usize> Kernel for Propagate<'_, CAP> {
+    type Output = Transition<CAP>;
+
+    #[inline(always)]
+    fn run<const FMA: bool, const TILE: usize>(self) -> Transition<CAP> {
+        let Self { cov, dynamics, layout, noise, w_b, f_b, blocks, order } = self;
+        let transition = Transition::of::<FMA>(dynamics, layout, noise, w_b, f_b, blocks, order);
+        cov.predict_kernel::<FMA, TILE>(&transition);
+        transition
+    }
+}
+
+/// The whitened rows into the covariance, one after the other: the error estimate, or `None` when P is none any more.
+struct Fuse<'a, const CAP: usize> {
+    cov: &'a mut Covariance<CAP>,
+    rows: &'a Rows<CAP>,
+    y: &'a [[f64; 1]; ROWS_MAX],
+}
+
+impl<const CAP: usize> Kernel for Fuse<'_, CAP> {
+    type Output = Option<[f64; CAP]>;
+
+    #[inline(always)]
+    fn run<const FMA: bool, const TILE: usize>(self) -> Option<[f64; CAP]> {
+        let Self { cov, rows, y } = self;
+        let mut x = [0.0; CAP];
+        for (h, y) in rows.h.iter().zip(y).take(rows.len) {
+            let left = y[0] - dot::<FMA, CAP>(h, &x);
+            let gain = cov.update_kernel::<FMA>(h)?;
+            for (x, k) in x.iter_mut().zip(&gain) {
+                *x = madd::<FMA>(*k, left, *x);
+            }
+        }
+        cov.mirror();
+        Some(x)
+    }
+}
 
 /// The navigation errors of an error vector.
 fn navigation<const CAP: usize>(x: &[f64; CAP]) -> Vector9 {

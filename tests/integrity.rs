@@ -238,3 +238,144 @@ fn feedback_at_intervals_gives_the_same_estimate_while_the_errors_are_small() {
         assert!(apart < 0.1, "{apart}");
     }
 }
+
+/// A stationary navigator 300 m off that believes itself good to metres, with good fixes every second.
+fn lost(gate: Gate, limit: Option<u32>) -> (common::Log, f64, f64, Vec<f64>) {
+    use gnssins::blocks::{Block, BlockKind};
+    use gnssins::imu::ImuInput;
+    use gnssins::stream::{Navigator, StreamSettings};
+    let place = solution(PLACE, [0.0; 3], [0.0; 3]);
+    let mut wrong = place;
+    wrong.position.lat_rad += 300.0 / 6.37e6;
+    let mut list = common::blocks(15);
+    list.push(Block {
+        jump_sd: [3.0; 6],
+        ..common::block(BlockKind::GnssPositionError, common::markov(6.0, 2000.0), 6.0)
+    });
+    let set = Settings {
+        integrity: Integrity { gate, ..Integrity::default() },
+        gate_probability: [Some(0.999); 3],
+        ..settings()
+    };
+    let ekf = Ekf::<Ned, 24>::new(&set, &list, &initial(wrong)).unwrap();
+    let stream =
+        StreamSettings { input: ImuInput::MeanRates, reacquire_after: limit, ..StreamSettings::default() };
+    let mut nav = Navigator::<Ned, 24>::new(ekf, stream);
+    let mut log = common::Log::default();
+    let earth = gnssins::nav::EarthModel::default();
+    let (s, c) = place.position.lat_rad.sin_cos();
+    let force = -earth.ellipsoid.gravity_n(earth.gravity, s, c, place.position.height_m);
+    let rate = earth.ellipsoid.earth_rate_n(s, c);
+    for k in 1..=6000 {
+        if k % 100 == 0 {
+            nav.gnss(&fix(k * DT_NS, &place, 2.0, 0.1), &mut log).unwrap();
+        }
+        nav.imu(k * DT_NS, &rate, &force, &mut log).unwrap();
+    }
+    let [.., dp] = error(&nav.ekf().solution(), &place);
+    let sds = (9..nav.ekf().layout().len()).map(|i| nav.ekf().covariance().get(i, i).sqrt()).collect();
+    (log, dp.norm(), nav.ekf().solution_sd().position_m.norm(), sds)
+}
+
+#[test]
+fn a_lost_filter_finds_back_whatever_is_judged_together() {
+    for gate in [Gate::Joint, Gate::Parts] {
+        let (log, off, sd, sds) = lost(gate, Some(10));
+        let resets = log.events.iter().filter(|e| e.kind == gnssins::stream::EventKind::FilterReset);
+        let resets = resets.count();
+        assert!((1..=2).contains(&resets), "{gate:?}: {resets}");
+        assert!(off < 3.5 * sd && off < 60.0, "{gate:?}: {off} m, claimed {sd} m");
+        // sensor errors are not believed larger than they can be
+        for (sd, most) in sds.iter().zip([1e-4; 3].iter().chain(&[0.02; 3]).chain(&[6.0; 3])) {
+            assert!(*sd <= most * 1.2, "{gate:?}: {sds:?}");
+        }
+        let used = log.records.iter().rev().take(20).filter(|r| r.refused == 0).count();
+        assert_eq!(used, 20, "{gate:?}: the last fixes are fused whole");
+    }
+    let (log, off, ..) = lost(Gate::Parts, None);
+    assert!(off > 250.0 && log.records.iter().all(|r| r.refused & 0b111 != 0), "{off}");
+}
+
+#[test]
+fn a_reset_leaves_the_tolerance_test_without_its_reference() {
+    use gnssins::imu::ImuInput;
+    use gnssins::stream::{Navigator, StreamSettings};
+    // the fixes move by 500 m: no vehicle does; the chi-square gate is off
+    let place = solution(PLACE, [0.0; 3], [0.0; 3]);
+    let mut moved = place;
+    moved.position.lon_rad += 500.0 / 4.1e6;
+    let set =
+        Settings { integrity: Integrity { max_accel_m_s2: Some(5.0), ..Integrity::default() }, ..settings() };
+    let ekf = Ekf::<Ned, 16>::new(&set, &common::blocks(15), &initial(place)).unwrap();
+    let stream = StreamSettings { input: ImuInput::MeanRates, ..StreamSettings::default() };
+    let mut nav = Navigator::<Ned, 16>::new(ekf, stream);
+    let mut log = common::Log::default();
+    for k in 1..=400 {
+        if k % 20 == 0 {
+            let at = if k <= 100 { &place } else { &moved };
+            nav.gnss(&fix(k * DT_NS, at, 1.0, 0.1), &mut log).unwrap();
+        }
+        nav.imu(k * DT_NS, &Vector3::zeros(), &Vector3::new(0.0, 0.0, -9.81), &mut log).unwrap();
+    }
+    let refused: Vec<bool> = log.records.iter().map(|r| r.refused & 0b111 != 0).collect();
+    // five good, nine refused, the tenth taken up by the declared reset, the rest as well
+    let want: Vec<bool> = (0..20).map(|k| (5..14).contains(&k)).collect();
+    assert_eq!(refused, want);
+}
+
+#[test]
+fn floors_lie_along_north_east_down_in_every_model() {
+    fn sds<M: gnssins::nav::NavModel>() -> [f64; 6] {
+        let floor =
+            Floor { phi: Vector3::new(0.0, 0.0, 0.03), p: Vector3::new(0.0, 0.0, 5.0), ..Floor::NONE };
+        let set = Settings { floor, ..settings() };
+        let place = solution([50.0, 40.0, 100.0], [0.0; 3], [0.0; 3]);
+        let mut ekf = Ekf::<M, 16>::new(&set, &common::blocks(15), &initial(place)).unwrap();
+        for k in 1..=500 {
+            ekf.predict(k * DT_NS, &Vector3::zeros(), &Vector3::new(0.0, 0.0, -0.0981)).unwrap();
+            if k % 20 == 0 {
+                let z = fix(k * DT_NS, &ekf.solution(), 0.3, 0.02);
+                ekf.update(0, &z).unwrap();
+            }
+        }
+        let sd = ekf.solution_sd();
+        assert!(dense(ekf.covariance()).cholesky().is_some());
+        std::array::from_fn(|i| if i < 3 { sd.position_m[i] } else { sd.euler_rad[i - 3] })
+    }
+    let (ned, ecef) = (sds::<Ned>(), sds::<Ecef>());
+    for (a, b) in ned.iter().zip(&ecef) {
+        assert!((a / b - 1.0).abs() < 0.01, "{ned:?} {ecef:?}");
+    }
+    assert!((ned[2] - 5.0).abs() < 1e-6 && ned[0] < 0.3 && ned[5] >= 0.03 && ned[3] < 0.012, "{ned:?}");
+}
+
+#[test]
+fn the_jump_of_a_constellation_is_added_once_even_by_the_fix_that_resets() {
+    use gnssins::blocks::{Block, BlockKind};
+    let slow = Block {
+        jump_sd: [50.0; 6],
+        ..common::block(BlockKind::GnssPositionError, common::markov(6.0, 1e6), 6.0)
+    };
+    let place = solution(PLACE, [0.0; 3], [0.0; 3]);
+    let set = Settings { gate_probability: [Some(0.999); 3], ..settings() };
+    let run = |marked: bool| {
+        let ekf = Ekf::<Ned, 16>::new(&set, &[slow], &initial(place)).unwrap();
+        let stream = gnssins::stream::StreamSettings { reacquire_after: Some(2), ..Default::default() };
+        let mut nav = gnssins::stream::Navigator::<Ned, 16>::new(ekf, stream);
+        let mut log = common::Log::default();
+        for k in 0..2 {
+            // velocities that cannot be, so that the whole fix is refused; useless positions
+            let mut z = off(0, &place, [0.0; 3], [30.0, 0.0, 0.0]);
+            z.covariance[0][0] = 1e12;
+            z.covariance[1][1] = 1e12;
+            z.covariance[2][2] = 1e12;
+            z.new_constellation = marked && k == 1;
+            nav.gnss(&z, &mut log).unwrap();
+        }
+        assert_eq!(log.events.iter().filter(|e| e.kind.code() == "filter.reset").count(), 1);
+        nav.ekf().covariance().get(9, 9)
+    };
+    let (plain, marked) = (run(false), run(true));
+    // added before the reset scales: once is 2500, and the bound of the block is the larger of its own and the jump
+    assert!(plain < 50.0 * 50.0 + 1.0 && marked < 2.0 * 2500.0 + 40.0, "{plain} {marked}");
+}

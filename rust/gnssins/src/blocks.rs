@@ -248,4 +248,14 @@ impl Block {
         }
         Ok(())
     }
+
+    /// Largest standard deviation that state `i` has by itself: that of the start or of the stationary process, a jump
+    /// included.
+    pub(crate) fn most_sd(&self, i: usize) -> f64 {
+        let stationary = match &self.process {
+            Process::GaussMarkov { sd, .. } => sd[i],
+            Process::Constant | Process::RandomWalk { .. } => 0.0,
+        };
+        self.initial_sd[i].max(stationary).max(self.jump_sd[i])
+    }
 }

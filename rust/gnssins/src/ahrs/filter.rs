@@ -46,7 +46,7 @@ mod saved;
 mod settings;
 
 use covariance::{Corrects, Covariance, Errors};
-use references::{Field, Meridian, Rest, Smoothed};
+use references::{Field, Meridian, REST_MEAN_S, Rest, Smoothed};
 
 pub use saved::SAVED_LEN;
 pub use settings::Settings;
@@ -248,7 +248,8 @@ impl AttitudeFilter {
         let s = &self.settings;
         let density =
             s.gyro_arw_rad_sqrt_s * s.gyro_arw_rad_sqrt_s + s.rest_noise_rad_sqrt_s * s.rest_noise_rad_sqrt_s;
-        let limit = 16.0 * (self.errors.bias() + s.rest_noise_rad_sqrt_s * s.rest_noise_rad_sqrt_s);
+        // four sigma of the mean rate less the estimate: of the bias, and of the noise in an exponential mean
+        let limit = 16.0 * (self.errors.bias() + 3.0 * density / (2.0 * REST_MEAN_S));
         if (self.rest.rate() - self.bias).norm_squared() > limit {
             return false;
         }

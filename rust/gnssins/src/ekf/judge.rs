@@ -4,7 +4,7 @@ use super::{Ekf, Gate};
 use crate::cov::dot;
 use crate::error::Error;
 use crate::math;
-use crate::meas::{BadReason, PART, Record, Rows, Source, Status, Test};
+use crate::meas::{BadReason, PART, PARTS, Record, Rows, Source, Status, Test};
 use crate::nav::NavModel;
 use crate::small::{self, ROWS_MAX};
 
@@ -13,9 +13,6 @@ const PRECISION: f64 = 1e15;
 
 /// Sigmas of a fix that the tolerance test allows, on a difference of two.
 const TOLERANCE_SIGMAS: f64 = 5.0 * core::f64::consts::SQRT_2;
-
-/// Position and velocity: the parts of a fix.
-const PARTS: [usize; 2] = [0, 1];
 
 impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// Innovation, its covariance and NIS on the prior.
@@ -63,10 +60,11 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     pub(super) fn judge(&self, rows: &Rows<CAP>, record: &mut Record) {
         let gates = &self.gates[record.source.index()];
         let set = &self.settings.integrity;
-        if set.gate == Gate::Joint && record.nis > gates[rows.len] {
+        let whole = set.gate == Gate::Joint && record.nis > gates[rows.len];
+        if whole {
             record.refuse(record.present, Test::ChiSquare);
         }
-        for part in PARTS {
+        for part in 0..PARTS {
             let bits = part_bits(part) & record.present;
             if bits == 0 {
                 continue;
@@ -77,14 +75,16 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
                     record.refuse(bits, Test::ChiSquare);
                 }
             }
-            if record.source != Source::Gnss {
-                continue;
-            }
-            if set.trace_ratio_limit.is_some_and(|limit| trace_ratio(record, bits) >= limit) {
+            let fix = record.source == Source::Gnss;
+            if fix && set.trace_ratio_limit.is_some_and(|limit| trace_ratio(record, bits) >= limit) {
                 record.refuse(bits, Test::TraceRatio);
             }
-            if set.max_accel_m_s2.is_some_and(|a| self.beyond_tolerance(part, rows, a)) {
+            if fix && set.max_accel_m_s2.is_some_and(|a| self.beyond_tolerance(part, rows, a)) {
                 record.refuse(bits, Test::Tolerance);
+            }
+            if record.refused & bits != 0 {
+                let (nis, dof) = if whole { (record.nis, record.dof) } else { part_nis(record, bits) };
+                record.part_ratio[part] = nis / dof as f64;
             }
         }
         if record.refused == record.present {

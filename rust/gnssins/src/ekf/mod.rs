@@ -307,14 +307,16 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// [`Error::Covariance`] when the covariance is no longer positive definite: the filter must not be used on.
     /// [`Error::Future`] for a measurement that is valid after the filter's time.
     pub fn update(&mut self, row: u64, measurement: &impl Measurement) -> Result<Record, Error> {
-        self.update_with(row, measurement, &mut |_, _| {})
+        self.update_with(row, measurement, measurement.new_constellation(), &mut |_, _| {})
     }
 
-    /// As [`Ekf::update`]; shows the model and the linearised rows to `seen`.
+    /// As [`Ekf::update`], with the jump of a new constellation or without; shows the model and the linearised rows to
+    /// `seen`.
     pub(crate) fn update_with(
         &mut self,
         row: u64,
         measurement: &impl Measurement,
+        jumps: bool,
         seen: &mut impl FnMut(&M, &Rows<CAP>),
     ) -> Result<Record, Error> {
         let (t_ns, source) = (measurement.t_ns(), measurement.source());
@@ -324,7 +326,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         if t_ns > self.t_ns {
             return Err(Error::Future { t_ns, filter_ns: self.t_ns });
         }
-        if let Some(jump) = self.jump.as_ref().filter(|_| measurement.new_constellation()) {
+        if let Some(jump) = self.jump.as_ref().filter(|_| jumps) {
             self.cov.add_diagonal(jump);
         }
         let bad = |reason| Ok(Record::unevaluated(source, row, t_ns, Status::Bad(reason)));
@@ -367,17 +369,31 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     }
 
     /// Multiplies the covariance: the declared remedy where the filter was found overconfident by this factor (of
-    /// variance). Attitude sigmas grow to 1 rad at most. Factors below 1 and non-finite ones do nothing.
+    /// variance). Attitude sigmas grow to 1 rad at most, those of block states to what they were at the start or, of
+    /// Gauss-Markov processes, are in the long run. Factors below 1 and non-finite ones do nothing.
     pub fn raise_covariance(&mut self, factor: f64) {
         if !factor.is_finite() || factor <= 1.0 {
             return;
         }
         let root = crate::math::sqrt(factor);
-        for i in 0..self.layout.len() {
+        for i in 0..NAV {
             let sd = crate::math::sqrt(self.cov.get(i, i));
             let limit = if i < DV { (1.0 / sd).max(1.0) } else { f64::INFINITY };
             self.cov.scale_state(i, root.min(limit));
         }
+        for (block, start) in self.layout.blocks() {
+            for k in 0..block.kind.len() {
+                let sd = crate::math::sqrt(self.cov.get(start + k, start + k));
+                self.cov.scale_state(start + k, root.min((block.most_sd(k) / sd).max(1.0)));
+            }
+        }
+    }
+
+    /// Takes up the fixes that were refused too often: raises the covariance and forgets the accepted estimate that the
+    /// tolerance test starts from.
+    pub(crate) fn reacquire(&mut self, factor: f64) {
+        self.raise_covariance(factor);
+        self.accepted = None;
     }
 
     /// Body rate (rad/s) as measured at the present time, before the first interval: velocity aids with a lever arm
@@ -398,8 +414,11 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             state: DP,
             pivot: f64::NAN,
         })?;
-        if let Some(floor) = &self.floor {
-            self.cov.raise_to(floor);
+        if let Some(floor) = self.floor {
+            match self.model.to_ned_errors().and_then(|t| t.try_inverse()) {
+                None => self.cov.raise_to(&floor),
+                Some(inverse) => self.raise_ned(&floor, &inverse),
+            }
         }
         if let Some(waiting) = self.waiting.take() {
             for (x, w) in x.iter_mut().zip(&waiting) {
@@ -414,6 +433,24 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         }
         self.cov.check_variances(self.t_ns)?;
         self.check_position()
+    }
+
+    /// Lower bounds along north, east, down where the model has other axes: what is missing there is added, turned by
+    /// `inverse` into the model's axes.
+    fn raise_ned(&mut self, floor: &[f64; CAP], inverse: &Matrix9) {
+        let ned = self.ned_navigation_covariance();
+        let missing = Vector9::from_fn(|i, _| (floor[i] - ned[(i, i)]).max(0.0));
+        if missing.iter().any(|v| *v > 0.0) {
+            let added = inverse * Matrix9::from_diagonal(&missing) * inverse.transpose();
+            for i in 0..NAV {
+                for j in 0..=i {
+                    self.cov.set(i, j, self.cov.get(i, j) + added[(i, j)]);
+                }
+            }
+        }
+        let mut blocks = *floor;
+        blocks[..NAV].fill(0.0);
+        self.cov.raise_to(&blocks);
     }
 
     /// Moves the error estimate into the state. The attitude error is then measured from another estimate,

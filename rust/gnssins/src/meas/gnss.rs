@@ -24,6 +24,12 @@ pub struct GnssFix {
 }
 
 impl GnssFix {
+    /// The same with only some of its components, given as bits.
+    pub(crate) fn only(&self, bits: u8) -> Self {
+        let velocity_n = core::array::from_fn(|i| self.velocity_n[i].filter(|_| bits >> (i + 3) & 1 == 1));
+        Self { position: self.position.filter(|_| bits & 0b111 != 0), velocity_n, ..*self }
+    }
+
     /// Components present.
     fn present(&self) -> [bool; ROWS_MAX] {
         let p = self.position.is_some();

@@ -47,6 +47,8 @@ pub const SOURCES: usize = 3;
 
 /// Components that are judged together: position 0 to 2, velocity 3 to 5.
 pub(crate) const PART: usize = 3;
+/// Position and velocity.
+pub const PARTS: usize = ROWS_MAX / PART;
 
 /// What a measurement sees of the filter.
 #[derive(Debug, Clone, Copy)]
@@ -288,6 +290,9 @@ pub struct Record {
     pub refused: u8,
     /// The test that dropped them.
     pub test: Option<Test>,
+    /// NIS over degrees of freedom of what was dropped of position and of velocity, 0 where nothing was: the whole
+    /// measurement's where it was judged as a whole.
+    pub part_ratio: [f64; PARTS],
     /// Innovation, measured minus predicted, by component.
     pub innovation: [f64; ROWS_MAX],
     /// Innovation covariance H P H' + R, by component.
@@ -321,6 +326,7 @@ impl Record {
             present: 0,
             refused: 0,
             test: None,
+            part_ratio: [0.0; PARTS],
             innovation: [0.0; ROWS_MAX],
             innovation_cov: [[0.0; ROWS_MAX]; ROWS_MAX],
         }

@@ -17,7 +17,7 @@ use crate::imu::{ImuInput, Rates};
 use crate::meas::baro::BaroHeight;
 use crate::meas::gnss::GnssFix;
 use crate::meas::heading::Heading;
-use crate::meas::{BadReason, Measurement, Observation, Record, SOURCES, Source, Status};
+use crate::meas::{BadReason, Measurement, Observation, PARTS, Record, SOURCES, Source, Status};
 use crate::nav::NavModel;
 use intervals::Intervals;
 
@@ -52,7 +52,7 @@ pub struct Navigator<M, const CAP: usize, const PENDING: usize = PENDING_MAX> {
     last: Option<Last>,
     intervals: Intervals,
     saturated: bool,
-    refused: Refused,
+    refused: [Refused; PARTS],
     pending: [Option<(u64, Observation)>; PENDING],
     /// Measurements that wait: the first so many places of `pending`.
     waiting: usize,
@@ -66,6 +66,11 @@ struct Refused {
     count: u32,
     /// Sum of NIS over degrees of freedom.
     ratio: f64,
+}
+
+impl Refused {
+    /// None so far.
+    const NONE: Self = Self { count: 0, ratio: 0.0 };
 }
 
 /// One IMU interval on its way to the filter.
@@ -100,7 +105,7 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
             last: None,
             intervals: Intervals::NONE,
             saturated: false,
-            refused: Refused { count: 0, ratio: 0.0 },
+            refused: [Refused::NONE; PARTS],
             pending: [None; PENDING],
             waiting: 0,
             imu: NONE,
@@ -472,33 +477,52 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     /// Fuses a measurement; a fix after a declared reset where too many were refused.
     fn update(&mut self, row: u64, aid: &Observation, sink: &mut impl Sink) -> Result<Record, Error> {
         let t_ns = aid.t_ns();
-        let record = self.ekf.update_with(row, aid, &mut |model, rows| sink.linearised(t_ns, model, rows))?;
+        let jumps = aid.new_constellation();
+        let record =
+            self.ekf.update_with(row, aid, jumps, &mut |model, rows| sink.linearised(t_ns, model, rows))?;
         let Some(factor) = self.reset_factor(&record) else { return Ok(record) };
-        self.ekf.raise_covariance(factor);
+        self.ekf.reacquire(factor);
         sink.event(&Event { t_ns, row, kind: EventKind::FilterReset, value: factor });
-        self.ekf.update(row, aid)
+        // what is rejected has changed nothing; of a fix that was used in part only the rest is tried again
+        let again = match aid {
+            Observation::Gnss(fix) if record.status == Status::Used => {
+                Observation::Gnss(fix.only(record.refused))
+            }
+            other => *other,
+        };
+        let second = self.ekf.update_with(row, &again, false, &mut |_, _| {})?;
+        let merged = record.status == Status::Used;
+        Ok(if merged { Record { refused: second.refused, test: second.test, ..record } } else { second })
     }
 
-    /// Follows the fixes refused in a row; when there are too many, the mean of their NIS per degree of freedom is the
-    /// factor by which the covariance was too small.
+    /// Follows the fixes refused in a row, position and velocity apart; when there are too many of either, the mean of
+    /// their NIS per degree of freedom is the factor by which the covariance was too small.
     fn reset_factor(&mut self, record: &Record) -> Option<f64> {
-        if record.source != Source::Gnss {
+        let judged = matches!(record.status, Status::Used | Status::Rejected);
+        if record.source != Source::Gnss || !judged {
             return None;
         }
-        match record.status {
-            Status::Used => self.refused = Refused { count: 0, ratio: 0.0 },
-            Status::Rejected => {
-                self.refused.count += 1;
-                self.refused.ratio += record.nis / record.dof as f64;
+        let limit = self.settings.reacquire_after.unwrap_or(u32::MAX).max(1);
+        let mut factor = None;
+        for (part, refused) in self.refused.iter_mut().enumerate() {
+            let bits = 0b111 << (3 * part) & record.present;
+            if bits == 0 {
+                continue;
             }
-            Status::Late | Status::Bad(_) => {}
+            if record.refused & bits == 0 {
+                *refused = Refused::NONE;
+                continue;
+            }
+            refused.count = refused.count.saturating_add(1);
+            refused.ratio += record.part_ratio[part];
+            if refused.count >= limit {
+                factor = Some((refused.ratio / f64::from(refused.count)).max(factor.unwrap_or(1.0)));
+            }
         }
-        let Refused { count, ratio } = self.refused;
-        let limit = self.settings.reacquire_after?;
-        (count >= limit.max(1)).then(|| {
-            self.refused = Refused { count: 0, ratio: 0.0 };
-            (ratio / f64::from(count)).max(1.0)
-        })
+        if factor.is_some() {
+            self.refused = [Refused::NONE; PARTS];
+        }
+        factor
     }
 
     fn next_pending_ns(&self) -> Option<i64> {

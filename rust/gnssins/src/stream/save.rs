@@ -11,7 +11,7 @@ use crate::imu::Rates;
 use crate::meas::baro::BaroHeight;
 use crate::meas::gnss::GnssFix;
 use crate::meas::heading::Heading;
-use crate::meas::{Measurement, SOURCES, Source};
+use crate::meas::{Measurement, PARTS, SOURCES, Source};
 use crate::nav::NavModel;
 
 impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PENDING> {
@@ -19,7 +19,7 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     #[must_use]
     pub const fn saved_len(&self) -> usize {
         self.ekf.saved_len()
-            + 8 * (1 + 1 + 12 + INTERVALS + 2 + 1 + 2 + 5 * (1 + SOURCES) + 1 + PENDING * WORDS)
+            + 8 * (1 + 1 + 12 + INTERVALS + 2 + 1 + 2 * PARTS + 5 * (1 + SOURCES) + 1 + PENDING * WORDS)
     }
 
     /// Writes the state with everything that waits; [`Navigator::restore`] continues with the same bits.
@@ -38,8 +38,10 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
         out.u64(self.intervals.next as u64)?;
         out.i64(self.intervals.owed_ns)?;
         out.u64(u64::from(self.saturated))?;
-        out.u64(u64::from(self.refused.count))?;
-        out.f64s(&[self.refused.ratio])?;
+        for refused in &self.refused {
+            out.u64(u64::from(refused.count))?;
+            out.f64s(&[refused.ratio])?;
+        }
         for c in core::iter::once(&self.imu).chain(&self.aids) {
             for v in [c.total, c.used, c.rejected, c.late, c.bad] {
                 out.u64(v)?;
@@ -71,8 +73,10 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
         next.intervals.next = (saved.u64()? % INTERVALS as u64) as usize;
         next.intervals.owed_ns = saved.i64()?;
         next.saturated = saved.flag()?;
-        let count = saved.u64()?.min(u64::from(u32::MAX)) as u32;
-        next.refused = Refused { count, ratio: saved.f64()? };
+        for refused in &mut next.refused {
+            let count = saved.u64()?.min(u64::from(u32::MAX)) as u32;
+            *refused = Refused { count, ratio: saved.f64()? };
+        }
         for c in core::iter::once(&mut next.imu).chain(&mut next.aids) {
             for v in [&mut c.total, &mut c.used, &mut c.rejected, &mut c.late, &mut c.bad] {
                 *v = saved.u64()?;

@@ -156,7 +156,7 @@ impl Field {
 }
 
 /// Time constant of the means that tell rest, s.
-const REST_MEAN_S: f64 = 0.5;
+pub(super) const REST_MEAN_S: f64 = 0.5;
 
 /// Detection of a body that does not move.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -429,3 +429,26 @@ fn settings_without_meaning_are_refused_by_name() {
         }
     }
 }
+
+#[test]
+fn the_bias_at_rest_is_known_as_well_as_it_says_whatever_walk_it_is_given() {
+    for walk in [6e-5, 1e-5, 1e-6] {
+        let (mut ratio, mut rest) = (0.0f64, 0);
+        for seed in 0..12 {
+            let settings = Settings { bias_walk_rad_s_sqrt_s: walk, ..Settings::default() };
+            let mut f = AttitudeFilter::new(&settings).unwrap();
+            let mut body = Body::new(0.1, -0.2, 0.5);
+            body.rng = Some(Rng(9000 + seed));
+            body.bias = Vector3::new(1e-3, -2e-3, 3e-3);
+            for _ in 0..12_000 {
+                let still = body.sample(Vector3::zeros(), Vector3::zeros(), field(), DT);
+                let status = f.step(DT, &AhrsSample { mag: None, ..still }).unwrap();
+                rest += usize::from(status.has(AhrsStatus::REST));
+            }
+            ratio += ((f.gyro_bias_b().z - 3e-3) / f.gyro_bias_sd_rad_s().z).powi(2) / 12.0;
+        }
+        // chi-square of 12: below 26.2 with probability 0.99; before, samples near the estimate were taken only
+        assert!(ratio < 26.2 / 12.0, "walk {walk}: rms over sigma {}", ratio.sqrt());
+        assert!(rest > 12 * 11_000, "walk {walk}: {rest} samples at rest");
+    }
+}

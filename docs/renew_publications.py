@@ -42,7 +42,7 @@ def claims(summary: dict[str, Any]) -> str:
         rows.append(
             [
                 claim["text"],
-                _with(claim["published"], unit),
+                _given(claim["published"], unit),
                 _wanted(claim),
                 _with(claim["ours"], unit),
                 *(_number(value) for value in figures),
@@ -58,15 +58,18 @@ def published(summary: dict[str, Any]) -> str:
     rows = [
         [
             claim["text"],
-            _with(claim["published"], f" {claim['unit']}" if claim["unit"] else ""),
+            _given(claim["published"], f" {claim['unit']}" if claim["unit"] else ""),
             _with(claim["ours"], f" {claim['unit']}" if claim["unit"] else ""),
+            _wanted(claim),
             claim["verdict"],
         ]
         for claim in summary["claims"]
         if claim["published"] is not None
     ]
     text = f"{_origin(summary)} {summary['outcome']['text']}.\n"
-    return text + ("\n" + markdown(["claim", "publication", "ours", "verdict"], rows) if rows else "")
+    return text + (
+        "\n" + markdown(["claim", "publication", "ours", "wanted", "verdict"], rows) if rows else ""
+    )
 
 
 def table(summary: dict[str, Any], name: str) -> str:
@@ -88,12 +91,30 @@ def _origin(summary: dict[str, Any]) -> str:
 
 
 def _wanted(claim: dict[str, Any]) -> str:
+    if claim["met"] is None:
+        return "–"
     if claim["sense"] == "within":
         low, high = claim["low"], claim["high"]
-        return f"{_number(low)} .. {_number(high)}"
+        if low is None or high is None:
+            return f"≤ {_given(high)}" if low is None else f"≥ {_given(low)}"
+        return f"{_given(low)} .. {_given(high)}"
+    if claim["sense"] == "beside":
+        return "–"
     wanted = claim["target"] if claim["target"] is not None else claim["published"]
     sign = {"at most": "≤ ", "at least": "≥ ", "equal": ""}[claim["sense"]]
-    return "–" if wanted is None else f"{sign}{_number(wanted)}"
+    return "–" if wanted is None else f"{sign}{_given(wanted)}" + _tolerance(claim)
+
+
+def _tolerance(claim: dict[str, Any]) -> str:
+    """Largest deviation that still counts as equal, where a reader of three digits would see it."""
+    allowed, wanted = claim["tolerance"], claim["target"] or claim["published"] or 0.0
+    shown = f"{allowed:.1g}" if allowed < 10.0 else f"{allowed:.0f}"
+    return f" ± {shown}" if claim["sense"] == "equal" and allowed > 1e-3 * abs(wanted) else ""
+
+
+def _given(value: float | None, unit: str = "") -> str:
+    """A figure that somebody has set: as it was given, without digits that nobody has measured."""
+    return "–" if value is None else f"{value:.3g}{unit}" if abs(value) < 999.5 else f"{number(value)}{unit}"
 
 
 def _with(value: float | None, unit: str) -> str:
@@ -135,8 +156,8 @@ def shrink(source: Path, target: Path) -> None:
         flat = picture.convert("RGB")
     width = min(900, flat.width)
     flat = flat.resize((width, round(flat.height * width / flat.width)), Image.Resampling.LANCZOS)
-    for colours in (64, 32, 16):
-        flat.quantize(colours).save(target, optimize=True)
+    for colours in (256, 128, 64):
+        flat.quantize(colours, Image.Quantize.MAXCOVERAGE).save(target, optimize=True)
         if target.stat().st_size < LIMIT:
             return
     raise SystemExit(f"{target}: {target.stat().st_size} bytes, more than {LIMIT}")

@@ -28,6 +28,7 @@ __all__ = [
     "column_of",
     "heading_deg",
     "seconds",
+    "stretches",
     "table_unit",
     "wrap_pi",
 ]
@@ -165,3 +166,9 @@ def heading_deg(heading_rad: Array) -> Array:
 def wrap_pi(angle_rad: Array) -> Array:
     """Angles brought to [-pi, pi)."""
     return np.mod(angle_rad + math.pi, 2.0 * math.pi) - math.pi
+
+
+def stretches(mask: NDArray[np.bool_], least: int = 1) -> list[tuple[int, int]]:
+    """First and past-the-last index of every stretch of True of at least so many samples."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in change.reshape(-1, 2) if b - a >= least]

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from gnssins.ahrs import Positional
 from gnssins.reproduce import aleshkin_runs as runs
 from gnssins.reproduce import publication, reproduce
 
@@ -27,6 +28,15 @@ def test_what_the_publication_cannot_reach_is_told_and_everything_else_is_reache
     assert found["ripple"].ours == pytest.approx(3.14, abs=0.01)
     assert found["bound"].ours == pytest.approx(-29.5)
     assert found["stable"].ours == 0
+    assert found["noise_heading"].verdict == "measured"
+
+
+def test_every_law_converges_in_a_fast_turn(report):
+    found, _ = report
+    assert found["fast_turn"].ours < 1e-4
+    # 30 deg off at the start, gains of 42.8/s: within a second to 30 exp(-29.5) deg at most, and no further off later
+    assert runs.turned_fast(runs.CROSS, "elements") < 1e-9
+    assert runs.turned_fast(Positional(4.28), None) == pytest.approx(30.0 * np.exp(-4.28), rel=0.05)
 
 
 def test_corners_are_those_of_the_running_law(report):

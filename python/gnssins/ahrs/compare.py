@@ -14,7 +14,6 @@ import importlib
 import importlib.util
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
@@ -28,6 +27,7 @@ from gnssins.ahrs.estimate import Sensors, run
 from gnssins.ahrs.laws import Cross, Law, Positional
 from gnssins.analysis import text
 from gnssins.errors import ConfigError
+from gnssins.parallel import ordered
 
 __all__ = ["METHODS", "TARGETS_DEG", "Comparison", "Row", "comparison", "installed"]
 
@@ -283,8 +283,8 @@ def comparison(
             )
     work = [(length, number) for length in manoeuvres_s for number in range(runs)]
 
-    def one(item: tuple[float, int]) -> dict[str, dict[str, float]]:
-        length, number = item
+    def one(index: int) -> dict[str, dict[str, float]]:
+        length, number = work[index]
         recording = Disturbed(manoeuvre_s=length).simulate(seed, number)
         return {
             name: _squares(recording, METHODS[name].estimate(recording))
@@ -293,12 +293,9 @@ def comparison(
         }
 
     squares: dict[tuple[str, float], list[dict[str, float]]] = {}
-    with ThreadPoolExecutor(jobs) as pool:
-        for done, ((length, _), found) in enumerate(zip(work, pool.map(one, work), strict=True), 1):
-            for name, values in found.items():
-                squares.setdefault((name, length), []).append(values)
-            if progress is not None:
-                progress(done / len(work))
+    for (length, _), found in zip(work, ordered(one, len(work), jobs, progress), strict=True):
+        for name, values in found.items():
+            squares.setdefault((name, length), []).append(values)
     rows = [
         _row(name, length, squares[name, length])
         for length in manoeuvres_s

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gnssins.analysis import text
 from gnssins.analysis.consistency import Nees, NeesGroup, Nis, NisGroup, chi_square_bounds, direction
 from gnssins.analysis.montecarlo import Simulator, run_seed
-from gnssins.analysis.sample import NEAR_S, Sample, sample_run
+from gnssins.analysis.sample import NEAR_S, Sample, rms_of, sample_run
 from gnssins.config import Config
 from gnssins.errors import InputError
 from gnssins.parallel import ordered
@@ -161,11 +161,11 @@ class Ensemble:
 
     def rms(self) -> Array:
         """Root mean square error over the runs, shape (epochs, n)."""
-        return _rms(self.errors)
+        return rms_of(self.errors)
 
     def sigma(self) -> Array:
         """Root mean square over the runs of what the filter claims, shape (epochs, n)."""
-        return _rms(self.sigmas)
+        return rms_of(self.sigmas)
 
     def median(self) -> Array:
         """Median of the absolute error over the runs, shape (epochs, n)."""
@@ -177,7 +177,7 @@ class Ensemble:
 
     def ratio(self) -> Array:
         """Root mean square over the runs of error over sigma, shape (epochs, n); 1 is honest."""
-        return _rms(self.errors / self.sigmas)
+        return rms_of(self.errors / self.sigmas)
 
     @property
     def ratio_bounds(self) -> tuple[float, float]:
@@ -195,7 +195,7 @@ class Ensemble:
 
     def over_window(self, index: int = 0) -> tuple[Array, Array]:
         """Root mean square over runs and time of the error and of the sigma in one span, each of shape (n,)."""
-        return _rms(self.window_rms[:, index]), _rms(self.window_sigma[:, index])
+        return rms_of(self.window_rms[:, index]), rms_of(self.window_sigma[:, index])
 
     # ---- consistency
 
@@ -249,8 +249,8 @@ class Ensemble:
             },
             "nis": self.nis.to_dict(),
             "windows": [list(window) for window in self.windows],
-            "window_rms": _listed(_rms(self.window_rms)),
-            "window_sigma": _listed(_rms(self.window_sigma)),
+            "window_rms": _listed(rms_of(self.window_rms)),
+            "window_sigma": _listed(rms_of(self.window_sigma)),
             "counts": dict(self.counts),
         }
 
@@ -331,11 +331,6 @@ def _pooled(every: Sequence[Mapping[str, NisGroup]], probability: float) -> Nis:
         mean = sum(part.mean * part.count for part in parts) / count
         groups[name] = NisGroup(name, parts[0].dof, count, mean, probability)
     return Nis(groups)
-
-
-def _rms(values: Array) -> Array:
-    """Root mean square over the first axis, NaN where one is."""
-    return np.asarray(np.sqrt(np.mean(values * values, axis=0)))
 
 
 def _listed(values: Array) -> list[Any]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gnssins import _core
 from gnssins.analysis import text
 from gnssins.analysis.errors import NavErrors, Trajectory, compare, interpolate
-from gnssins.analysis.outages import antenna_track, withheld_track
+from gnssins.analysis.outages import antenna_track, gap_windows, withheld_track
 from gnssins.errors import InputError
 from gnssins.units import NS_PER_S
 
@@ -259,7 +259,7 @@ def outage_growth(
         raise InputError(
             "input.times", f"times since the start of the gap: {list(at_s)}", "positive and rising, s"
         )
-    windows = _windows(result, windows_s)
+    windows = gap_windows(result, windows_s)
     ellipsoid = ellipsoid or str(result.metadata.get("ellipsoid", "wgs84"))
     other = truth if truth is not None else withheld_track(result)
     own = result if truth is not None else antenna_track(result, ellipsoid)
@@ -277,20 +277,6 @@ def outage_growth(
         )
     named = reference or ("the withheld fixes" if truth is None else "the reference")
     return OutageGrowth(at, windows[:, 0] / NS_PER_S, error, so_far, sd, named)
-
-
-def _windows(result: Result, windows_s: Sequence[tuple[float, float]] | None) -> Times:
-    if windows_s is None:
-        windows = result.outages()
-    else:
-        windows = np.rint(np.asarray(windows_s, dtype=np.float64).reshape(-1, 2) * NS_PER_S).astype(np.int64)
-    if not len(windows):
-        raise InputError(
-            "input.no_outages",
-            "the run has no gaps to look at",
-            "give [run] outages = [[from_s, to_s], ...] in the configuration, or windows_s",
-        )
-    return windows
 
 
 def _gap(

@@ -201,10 +201,7 @@ def monte_carlo(
 
 def _one_run(simulator: Simulator, config: Config, seed: int, after_s: float, index: int) -> _Summary:
     simulated = simulator.run(run_seed(seed, index))
-    truth = simulated.dataset.truth
-    if truth is None:
-        raise TypeError("the simulator gives no truth")
-    result = run(config, simulated)
+    truth, result = simulated.truth, run(config, simulated)
     ellipsoid = str(result.metadata["ellipsoid"])
     found = compare(result, truth, ellipsoid=ellipsoid).between(after_s)
     joint = nis(result, after_s=after_s)

@@ -171,16 +171,7 @@ def outage_table(
     InputError
         No gaps, or no reference epoch inside any of them.
     """
-    if windows_s is None:
-        windows = result.outages()
-    else:
-        windows = np.rint(np.asarray(windows_s, dtype=np.float64).reshape(-1, 2) * NS_PER_S).astype(np.int64)
-    if not len(windows):
-        raise InputError(
-            "input.no_outages",
-            "the run has no gaps to look at",
-            "give [run] outages = [[from_s, to_s], ...] in the configuration, or windows_s",
-        )
+    windows = gap_windows(result, windows_s)
     ellipsoid = ellipsoid or str(result.metadata.get("ellipsoid", "wgs84"))
     if truth is None:
         found = compare(antenna_track(result, ellipsoid), withheld_track(result), ellipsoid=ellipsoid)
@@ -238,6 +229,27 @@ def _outage(found: NavErrors, keep: NDArray[np.bool_], start_s: float, end_s: fl
 def _rms(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def gap_windows(result: Result, windows_s: Sequence[tuple[float, float]] | None) -> NDArray[np.int64]:
+    """Gaps to look at (o, 2), ns: those given in seconds, else those of the run.
+
+    Raises
+    ------
+    InputError
+        ``input.no_outages``: there are none.
+    """
+    if windows_s is None:
+        windows = result.outages()
+    else:
+        windows = np.rint(np.asarray(windows_s, dtype=np.float64).reshape(-1, 2) * NS_PER_S).astype(np.int64)
+    if not len(windows):
+        raise InputError(
+            "input.no_outages",
+            "the run has no gaps to look at",
+            "give [run] outages = [[from_s, to_s], ...] in the configuration, or windows_s",
+        )
+    return windows
 
 
 def withheld_track(result: Result) -> Track:

@@ -62,9 +62,7 @@ def sample_run(
     InputError
         ``input.no_truth``, ``input.no_covariance``; ``input.epoch``: an epoch or a span without a snapshot.
     """
-    if simulated.dataset.truth is None:
-        raise InputError("input.no_truth", "the simulated run has no truth")
-    found = error_states(result, simulated.dataset.truth, Parameters.of(simulated))
+    found = error_states(result, simulated.truth, Parameters.of(simulated))
     time_s = seconds(found.t_ns)
     rows = _rows(time_s, at_s)
     x, sd = found.x.copy(), found.sd
@@ -127,8 +125,9 @@ def _span(x: Array, sd: Array, time_s: Array, window: tuple[float, float]) -> tu
             "choose a span inside the run, longer than [run] covariance_interval_s",
         )
     part = x[inside]
-    return _rms(part), np.abs(part).max(axis=0), _rms(sd[inside])
+    return rms_of(part), np.abs(part).max(axis=0), rms_of(sd[inside])
 
 
-def _rms(values: Array) -> Array:
+def rms_of(values: Array) -> Array:
+    """Root mean square over the first axis, NaN where one is."""
     return np.asarray(np.sqrt(np.mean(values * values, axis=0)))

@@ -42,9 +42,7 @@ class Parameters:
     @classmethod
     def of(cls, simulated: Simulated) -> Parameters:
         """Take the true sensor errors of a simulated run."""
-        if simulated.dataset.truth is None:
-            raise InputError("input.no_truth", "the simulated run has no truth")
-        return cls(simulated.dataset.truth.t_ns, simulated.truth_blocks)
+        return cls(simulated.truth.t_ns, simulated.truth_blocks)
 
     def by_state(self, states: Sequence[State]) -> dict[str, Array]:
         """True values (k,) by name of the state, for the states whose block is known."""

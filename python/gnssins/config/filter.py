@@ -241,7 +241,8 @@ class FilterConfig(Section):
     coning: Literal["two-sample", "one-sample", "third-order"] | None = Field(
         default=None,
         description="Coning and sculling compensation of increments; third-order: two-sample with one more term of the "
-        "turn within an interval, for fast turns; left out: as in the preset, else two-sample",
+        'turn within an interval, for fast turns. No effect on [imu] kind = "rates", which has its own terms; left '
+        "out: as in the preset, else two-sample",
         examples=["two-sample"],
     )
     attitude_form: (

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +20,7 @@ __all__ = ["bode", "stability_map", "steps"]
 
 Array = NDArray[np.float64]
 
+#: Dashes in turn, so that a curve under another one is seen.
 _LINES: Final = ("-", "--", "-.", ":")
 
 
@@ -50,7 +50,7 @@ def bode(
     for i, (name, one) in enumerate(responses.items()):
         value = one.at(f)
         top = float(np.abs(value).max()) if one.band_pass else abs(one.dc)
-        color, line = colors[i % len(colors)], _LINES[i // len(colors) % len(_LINES)]
+        color, line = colors[i % len(colors)], _LINES[i % len(_LINES)]
         axes[0, 0].plot(f, _db(value / top), line, color=color, lw=1.4, label=name)
         axes[1, 0].plot(f, np.degrees(np.unwrap(np.angle(value))), line, color=color, lw=1.4)
         corner = one.corner_hz
@@ -69,7 +69,7 @@ def bode(
         ax.set_xlim(f[0], f[-1])
         ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axes[1, 0].set_xlabel("Frequency (Hz)")
-    _legend(figure, axes[0, 0])
+    style.legend(figure, [axes[0, 0]])
     return figure
 
 
@@ -88,7 +88,8 @@ def stability_map(laws: Mapping[str, RowLaw], limit_rad_s: float = 100.0, points
     axis = np.linspace(-limit_rad_s, limit_rad_s, points)
     right, down = np.meshgrid(axis, axis, indexing="ij")
     grid = np.stack([np.zeros_like(right), right, down], axis=-1).reshape(-1, 3)
-    figure = Figure(figsize=(4.0 * len(laws) + 0.8, 4.2), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(3.0 * len(laws) + 0.6, 4.5), layout="constrained", facecolor="white")
+    style.head(figure, "Largest real part of the poles, no roll rate (red: zero)")
     panels = np.atleast_1d(np.asarray(figure.subplots(1, len(laws), sharey=True), dtype=np.object_))
     for ax, (name, law) in zip(panels, laws.items(), strict=True):
         found = stability(law, grid)
@@ -99,7 +100,8 @@ def stability_map(laws: Mapping[str, RowLaw], limit_rad_s: float = 100.0, points
         ax.set_title(f"{name}\nworst {text.number(found.worst)} 1/s", fontsize=10)
         ax.set_xlabel("Rate about right (rad/s)")
         ax.set_aspect("equal")
-        figure.colorbar(mesh, ax=ax, shrink=0.8, label="largest real part (1/s)")
+        bar = figure.colorbar(mesh, ax=ax, orientation="horizontal", pad=0.03)
+        bar.set_label("Largest real part (1/s)", fontsize=10)
     style.label(panels[0], "Rate about down (rad/s)")
     return figure
 
@@ -117,16 +119,16 @@ def steps(responses: Mapping[str, StepResponse], title: str = "Initial error of 
     figure, axes = style.grid(2, title=title, row_height=2.4)
     colors = [c for name, c in COLORS.items() if name not in ("black", "grey")]
     for i, (name, one) in enumerate(responses.items()):
-        color = colors[i % len(colors)]
-        axes[0, 0].plot(one.time_s, 100.0 * one.own, color=color, lw=1.4, label=name)
+        color, line = colors[i % len(colors)], _LINES[i % len(_LINES)]
+        axes[0, 0].plot(one.time_s, 100.0 * one.own, line, color=color, lw=1.4, label=name)
         other = np.delete(one.errors, _own(one), axis=1)
         worst = int(np.abs(other).max(axis=0).argmax())
-        axes[1, 0].plot(one.time_s, 100.0 * other[:, worst], color=color, lw=1.4)
+        axes[1, 0].plot(one.time_s, 100.0 * other[:, worst], line, color=color, lw=1.4)
     for level in (-5.0, 5.0):
         axes[0, 0].axhline(level, color=COLORS["grey"], lw=0.8, ls=":")
     style.label(axes[0, 0], "Angle (%)")
     style.label(axes[1, 0], "Largest other angle (%)")
-    _legend(figure, axes[0, 0])
+    style.legend(figure, [axes[0, 0]])
     return figure
 
 
@@ -136,11 +138,3 @@ def _own(one: StepResponse) -> int:
 
 def _db(value: Array | NDArray[np.complex128]) -> Array:
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(value), 1e-12)))
-
-
-def _legend(figure: Figure, ax: Axes) -> None:
-    """Legend below, at most three entries in a line."""
-    handles, names = ax.get_legend_handles_labels()
-    figure.legend(
-        handles, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=9, frameon=False
-    )

@@ -106,7 +106,7 @@ def track(result: Result, truth: Trajectory | None = None) -> Figure:
     style.shade(below, result.outages(), "_")
     below.set_xlabel("Time (s)")
     style.label(below, "Height (m)")
-    figure.suptitle("Track", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    style.head(figure, "Track")
     style.legend(figure, [above])
     return figure
 

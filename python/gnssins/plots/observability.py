@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from gnssins.errors import InputError
 from gnssins.plots import style
 from gnssins.plots.style import COLORS
+from gnssins.tables import stretches
 
 if TYPE_CHECKING:
     from gnssins.analysis.observable import Observability
@@ -61,7 +62,7 @@ def observability(found: Observability, title: str = "Observability along the pa
         rasterized=True,
     )
     for row, flagged in enumerate(found.flags[::step].T):
-        for begin, end in _stretches(flagged):
+        for begin, end in stretches(flagged):
             states.plot(
                 [edges[begin], edges[end]], [row, row], color=COLORS["red"], lw=1.6, solid_capstyle="butt"
             )
@@ -82,9 +83,3 @@ def _edges(t_s: np.ndarray) -> np.ndarray:
         return np.array([t_s[0] - 0.5, t_s[0] + 0.5])
     middle = 0.5 * (t_s[1:] + t_s[:-1])
     return np.concatenate([[2 * t_s[0] - middle[0]], middle, [2 * t_s[-1] - middle[-1]]])
-
-
-def _stretches(flagged: np.ndarray) -> list[tuple[int, int]]:
-    """First and past-the-last index of every stretch of True."""
-    change = np.flatnonzero(np.diff(np.concatenate([[False], flagged, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in change.reshape(-1, 2)]

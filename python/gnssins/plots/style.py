@@ -22,6 +22,7 @@ __all__ = [
     "broken",
     "envelope",
     "grid",
+    "head",
     "label",
     "legend",
     "note",
@@ -76,8 +77,13 @@ def grid(
     for ax in axes[-1]:
         ax.set_xlabel("Time (s)", fontsize=_RC["label"])
     if title:
-        figure.suptitle(title, fontsize=_RC["title"], x=0.01, ha="left", fontweight="bold")
+        head(figure, title)
     return figure, axes
+
+
+def head(figure: Figure, text: str) -> None:
+    """Put the title of a figure at its upper left."""
+    figure.suptitle(text, fontsize=_RC["title"], x=0.01, ha="left", fontweight="bold")
 
 
 def tidy(ax: Axes) -> None:
@@ -100,7 +106,7 @@ def note(ax: Axes, text: str) -> None:
 
 
 def legend(figure: Figure, axes: Iterable[Axes]) -> None:
-    """Put one legend of all labels below the axes, where no data are."""
+    """Put one legend of all labels below the axes, where no data are, in as many lines as it takes."""
     entries: dict[str, Artist] = {}
     for ax in axes:
         for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
@@ -110,10 +116,20 @@ def legend(figure: Figure, axes: Iterable[Axes]) -> None:
             list(entries.values()),
             list(entries),
             loc="outside lower center",
-            ncols=len(entries),
+            ncols=_columns([len(name) for name in entries], figure.get_figwidth()),
             fontsize=_RC["tick"],
             frameon=False,
         )
+
+
+def _columns(letters: list[int], width_in: float) -> int:
+    """Most columns of a legend that fit the width: 0.068 in a letter, 0.6 in for a line with its space."""
+    for columns in range(len(letters), 1, -1):
+        rows = -(-len(letters) // columns)
+        parts = [letters[i : i + rows] for i in range(0, len(letters), rows)]
+        if sum(0.6 + 0.068 * max(part) for part in parts) < width_in:
+            return columns
+    return 1
 
 
 def shade(ax: Axes, windows_ns: NDArray[np.int64], text: str = "no GNSS") -> None:

@@ -17,7 +17,15 @@ from pathlib import Path
 from typing import Final
 
 from gnssins.errors import ConfigError
-from gnssins.reproduce.report import Claim, Job, Publication, Reproduction, Table, refuse_foreign
+from gnssins.reproduce.report import (
+    Claim,
+    Job,
+    Publication,
+    Reproduction,
+    Table,
+    refuse_foreign,
+    refuse_others,
+)
 
 __all__ = [
     "PUBLICATIONS",
@@ -125,6 +133,7 @@ def reproduce(
             )
     if out is not None:
         refuse_foreign(Path(out))
+        refuse_others(Path(out))
     job = Job(
         runs=chosen.runs if runs is None else runs,
         seed=chosen.seed if seed is None else seed,

@@ -62,11 +62,13 @@ def _comparison(compared: Comparison) -> Figure:
             if rows:
                 x = np.arange(len(phases)) + (i - 0.5 * (len(names) - 1)) * width
                 heights = [rows[0].rms_deg[p] for p in phases]
-                ax.bar(x, heights, width, color=colors[i % len(colors)], label=name)
+                runs = f"{rows[0].runs} run{'s' if rows[0].runs > 1 else ''}"
+                ax.bar(x, heights, width, color=colors[i % len(colors)], label=f"{name}, {runs}")
         ax.set_yscale("log")
         ax.set_ylim(0.05, None)
         ax.set_xticks(range(len(phases)), phases)
-        ax.set_title(f"manoeuvres of {length:g} s", fontsize=10, loc="left")
+        style.note(ax, f"manoeuvres of {length:g} s")
         style.label(ax, "Attitude error, rms (deg)")
+    style.head(figure, "Total attitude error on the comparison scenario")
     style.legend(figure, panels[:1])
     return figure

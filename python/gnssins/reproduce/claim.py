@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, TypedDict, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gnssins.analysis import text
 
-__all__ = ["Claim", "Sense", "plain"]
+__all__ = ["Claim", "Sense", "Spread", "plain", "rms", "spread", "with_scatter"]
+
+#: Runs from which on the scatter of a root mean square (10 %) no longer decides about a claim.
+ENOUGH: Final = 50
 
 #: Smallest factor that is called better and not just reached: what one decimal shows as 1.1.
 _BETTER: Final = 1.05
 
-Sense = Literal["at most", "at least", "within", "equal"]
+Sense = Literal["at most", "at least", "within", "equal", "beside"]
 
 
 @dataclass(frozen=True)
@@ -34,8 +39,9 @@ class Claim:
         Measured. NaN: it could not be measured, which counts as missed.
     target : float, optional
         What was wanted. Left out: the published figure takes its place; without that either, nothing is judged.
-    sense : {"at most", "at least", "within", "equal"}
-        How ``ours`` has to stand to the target; ``"within"`` takes ``low`` and ``high`` instead of a target.
+    sense : {"at most", "at least", "within", "equal", "beside"}
+        How ``ours`` has to stand to the target; ``"within"`` takes ``low`` and ``high`` instead of a target, and
+        ``"beside"`` judges nothing: the published figure belongs to other conditions.
     low, high : float, optional
         Bounds of ``"within"``, both included; one of them may be left open.
     published : float, optional
@@ -71,13 +77,13 @@ class Claim:
     def __post_init__(self) -> None:
         if self.sense == "within" and self.low is None and self.high is None:
             raise ValueError(f'claim {self.key}: "within" needs low or high')
-        if self.sense not in ("at most", "at least", "within", "equal"):
+        if self.sense not in get_args(Sense):
             raise ValueError(f'claim {self.key}: sense "{self.sense}"')
 
     @property
     def wanted(self) -> float | None:
         """The target, or the published figure in its place; None where nothing is judged, and for ``"within"``."""
-        if self.sense == "within":
+        if self.sense in ("within", "beside"):
             return None
         return self.target if self.target is not None else self.published
 
@@ -123,15 +129,13 @@ class Claim:
         """What was wanted, in words."""
         if self.sense == "within":
             if self.low is None or self.high is None:
-                return (
-                    f"at most {_number(self.high)}" if self.low is None else f"at least {_number(self.low)}"
-                )
-            return f"within {_number(self.low)} .. {_number(self.high)}"
+                return f"at most {_given(self.high)}" if self.low is None else f"at least {_given(self.low)}"
+            return f"within {_given(self.low)} .. {_given(self.high)}"
         if self.wanted is None:
             return ""
         if self.sense == "equal":
-            return _number(self.wanted) + (f" +- {_number(self.tolerance)}" if self.tolerance else "")
-        return f"{self.sense} {_number(self.wanted)}"
+            return _given(self.wanted) + (f" +- {_given(self.tolerance)}" if self.tolerance else "")
+        return f"{self.sense} {_given(self.wanted)}"
 
     def line(self) -> str:
         """The claim in one line: verdict, what, ours, wanted, published, filter's sigma, why."""
@@ -140,7 +144,7 @@ class Claim:
         if self.requirement:
             parts.append(f"wanted {self.requirement}")
         if self.published is not None:
-            parts.append(f"published {_number(self.published)}")
+            parts.append(f"published {_given(self.published)}")
         if self.sigma is not None:
             parts.append(f"filter's sigma {_number(self.sigma)}")
         if self.chi_square:
@@ -171,6 +175,34 @@ class Claim:
         }
 
 
+class Spread(TypedDict):
+    """Median and 95 % of a set of absolute values, as keywords of a :class:`Claim`."""
+
+    median: float
+    p95: float
+
+
+def spread(values: Sequence[float] | NDArray[np.float64]) -> Spread:
+    """Median and 95 % of absolute values, in the unit of the claim."""
+    return {"median": float(np.median(values)), "p95": float(np.quantile(values, 0.95))}
+
+
+def rms(values: Sequence[float] | NDArray[np.float64]) -> float:
+    """Root mean square of all values."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def with_scatter(claims: Iterable[Claim], runs: int) -> list[Claim]:
+    """Let every claim that few runs have missed say so, unless it has a note of its own."""
+    note = f"{runs} run{'s' if runs != 1 else ''}: scatter of {100 / math.sqrt(2 * runs):.0f} %; repeat with {ENOUGH}"
+    return [
+        replace(claim, note=note)
+        if claim.judged and not claim.met and not claim.note and runs < ENOUGH
+        else claim
+        for claim in claims
+    ]
+
+
 def plain(value: object) -> Any:
     """A cell or number for JSON: NumPy scalars as Python's, None for one that is not finite."""
     if isinstance(value, np.generic):
@@ -185,6 +217,11 @@ def _number(value: float | None) -> str:
     if isinstance(value, int) or (math.isfinite(value) and value == round(value) and abs(value) < 1e6):
         return str(round(value))
     return text.number(value)
+
+
+def _given(value: float | None) -> str:
+    """A figure that somebody has set: three significant figures at most, no zeros that nobody has measured."""
+    return "-" if value is None else f"{value:.3g}" if abs(value) < 999.5 else _number(value)
 
 
 def _factor(value: float) -> str:

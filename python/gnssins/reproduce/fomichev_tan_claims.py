@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gnssins.analysis import Ensemble, chi_square_bounds
 from gnssins.analysis.consistency import direction
+from gnssins.reproduce.claim import Claim, rms, spread, with_scatter
 from gnssins.reproduce.fomichev_tan_runs import Flight, Plan, Realisation
 from gnssins.reproduce.fomichev_tan_tables import ARCMIN, AXES, gap_end, mean_nees, pooled, restarted_gain
-from gnssins.reproduce.report import Claim
 
 __all__ = ["claims"]
 
 Array = NDArray[np.float64]
-
-#: Runs from which on the scatter of a root mean square (10 %) no longer decides about a claim.
-_ENOUGH: Final = 50
 
 
 def claims(
@@ -33,42 +28,31 @@ def claims(
     one: Realisation,
 ) -> list[Claim]:
     """One claim per figure of the specification and of the publication."""
-    found = [
+    found = (
         *_accuracy_claims(whole),
         *_honesty_claims(plan, whole, gaps),
         *_gap_claims(plan, gaps, flights, one),
         *_return_claims(plan, whole, gaps, flights),
         *_comparison_claims(plan, gaps, readings, flights),
-    ]
-    return [_with_reason(claim, whole.runs) for claim in found]
-
-
-def _with_reason(claim: Claim, runs: int) -> Claim:
-    """A claim that few runs have missed says so."""
-    if claim.met or not claim.judged or claim.note or runs >= _ENOUGH:
-        return claim
-    return replace(
-        claim, note=f"{runs} runs scatter by {100 / math.sqrt(2 * runs):.0f} %; repeat with {_ENOUGH}"
     )
+    return with_scatter(found, whole.runs)
 
 
 def _accuracy_claims(whole: Ensemble) -> list[Claim]:
     """Steady state with GNSS throughout: the worst axis of each quantity."""
-    rms, sigma = whole.over_window(0)
+    total, sigma = whole.over_window(0)
     errors = np.abs(pooled(whole.errors))
 
     def claim(key: str, label: str, unit: str, states: Sequence[int], factor: float, target: float) -> Claim:
-        i = states[int(np.argmax(rms[list(states)]))]
-        median, p95 = (float(factor * v) for v in np.quantile(errors[:, i], [0.5, 0.95]))
+        i = states[int(np.argmax(total[list(states)]))]
         return Claim(
             key,
             f"{label}, GNSS throughout, rms",
             unit,
-            float(factor * rms[i]),
+            float(factor * total[i]),
             target,
             sigma=float(factor * sigma[i]),
-            median=median,
-            p95=p95,
+            **spread(factor * errors[:, i]),
         )
 
     def mostly(key: str, label: str, unit: str, states: Sequence[int], published: float) -> Claim:
@@ -82,8 +66,7 @@ def _accuracy_claims(whole: Ensemble) -> list[Claim]:
             published,
             published=published,
             sigma=float(sigma[i]),
-            median=float(np.median(errors[:, i])),
-            p95=float(p95.max()),
+            **spread(errors[:, i]),
         )
 
     return [
@@ -155,8 +138,7 @@ def _gap_claims(plan: Plan, gaps: Ensemble, flights: Sequence[Flight], one: Real
                 high=10.0,
                 published=5.0,
                 sigma=float(gaps.sigma()[gap_end(plan, gaps, g), 6]),
-                median=float(np.median(largest)),
-                p95=float(np.quantile(largest, 0.95)),
+                **spread(largest),
                 note=f"about read as a factor of two; the run with +1 sigma reaches {shown:.1f} m",
             )
         )
@@ -183,14 +165,14 @@ def _return_claims(plan: Plan, whole: Ensemble, gaps: Ensemble, flights: Sequenc
     """Steps of the position where a gap begins and where it ends, and the accuracy after it."""
 
     def step(from_s: float, to_s: float) -> float:
-        return _rms(gaps.growth(from_s, to_s)[:, 6:9])
+        return rms(gaps.growth(from_s, to_s)[:, 6:9])
 
     usual = max(step(begin - 2.0, begin - 1.0) for begin, _ in plan.gaps)
     begins = max(step(begin - 1.0, begin) for begin, _ in plan.gaps)
     returns = max(step(end - 1.0, end) for _, end in plan.gaps)
     count = len(plan.gaps)
-    calm = _rms(gaps.window_rms[:, count:, 6:9])
-    steady = _rms(whole.over_window(0)[0][6:9])
+    calm = rms(gaps.window_rms[:, count:, 6:9])
+    steady = rms(whole.over_window(0)[0][6:9])
     first = np.array([flight.first_nis for flight in flights])
     bounds = chi_square_bounds(6, first.size, 0.99)
     mean = float(first.mean())
@@ -260,7 +242,3 @@ def _comparison_claims(
             note=", ".join(f"{name} {value:.2f} m" for name, value in sorted(ends.items())),
         ),
     ]
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,14 +1,9 @@
 """What the misprints of Fomichev and Tan (2017) would do, by a covariance analysis of the 18-state filter.
 
-Two covariances run side by side: the one that a filter with a misprint claims (printed matrix, its gain), and the one
-that its errors really have (right matrix, the same gain):
-
-    P- = Phi_f P Phi_f' + Q_f        S- = Phi S Phi' + Q
-    K  = P- H' (H P- H' + R)^-1      S  = (I - K H) S- (I - K H)' + K R K'
-
-for a loop that feeds every estimate back at once. Gelb (ed., 1974), section 7.2. Axes east, north, up and right,
-forward, up, as published; states phi (rad), dv (m/s), dL, dlon (rad), dh (m), constant gyro drift, Markov gyro drift
-(rad/s), Markov accelerometer error (m/s^2), drifts measured minus true.
+Two covariances run side by side (:mod:`gnssins.reproduce.covariances`): the one that a filter with a misprint claims,
+and the one that its errors really have, for a loop that feeds every estimate back at once. Axes east, north, up and
+right, forward, up, as published; states phi (rad), dv (m/s), dL, dlon (rad), dh (m), constant gyro drift, Markov gyro
+drift (rad/s), Markov accelerometer error (m/s^2), drifts measured minus true.
 """
 
 from __future__ import annotations
@@ -23,6 +18,7 @@ from numpy.typing import NDArray
 
 from gnssins import _core
 from gnssins.analysis import Trajectory
+from gnssins.reproduce.covariances import corrected, gain, third_order, transposed
 from gnssins.reproduce.report import Cell, Table
 from gnssins.sim.frames import EARTH_RATE_RAD_S
 from gnssins.units import ACCEL_BIAS, DEG_SQRT_H_TO_RAD_SQRT_S, DEG_TO_RAD, GYRO_BIAS, NS_PER_S
@@ -240,7 +236,7 @@ def outcomes(truth: Trajectory, gap: tuple[float, float], steps_per_s: int = 4) 
     for k in range(seconds):
         t = k + 1
         before = claimed[frozen].copy()
-        claimed = phi[:, k] @ claimed @ _transposed(phi[:, k]) + q[:, k]
+        claimed = phi[:, k] @ claimed @ transposed(phi[:, k]) + q[:, k]
         actual = phi[0, k] @ actual @ phi[0, k].T + q[0, k]
         if begin <= t < end:
             claimed[frozen] = before
@@ -248,11 +244,8 @@ def outcomes(truth: Trajectory, gap: tuple[float, float], steps_per_s: int = 4) 
             h = np.zeros((6, 18))
             h[0, 6], h[1, 7], h[2, 8] = scale[k, 1], scale[k, 0], 1.0
             h[3:, 3:6] = np.eye(3)
-            gain = claimed @ h.T @ np.linalg.inv(h @ claimed @ h.T + r)
-            keep = np.eye(18) - gain @ h
-            noise = gain @ r @ _transposed(gain)
-            claimed = keep @ claimed @ _transposed(keep) + noise
-            actual = keep @ actual @ _transposed(keep) + noise
+            k_own = gain(claimed, h, r)
+            claimed, actual = corrected(claimed, k_own, h, r), corrected(actual, k_own, h, r)
         if t in (begin - 1, end - 1, end + 60):
             marks[t] = (_standard(actual, scale[k]), _standard(claimed, scale[k]))
     steady, last, after = (marks[t] for t in (begin - 1, end - 1, end + 60))
@@ -280,15 +273,11 @@ _OWN_MATRIX: Final = frozenset({"", "E2", "E3", "E4", "E5", "E6", "E7", "E8", "E
 def _transition(c: Conditions, erratum: str, dt: float, steps: int) -> tuple[Array, Array]:
     """Transition matrices and process noise over whole seconds, shape (seconds, 18, 18), terms to third order."""
     f = system_matrix(c, frozenset({erratum}))
-    square = f @ f
-    eye = np.eye(18)
-    phi = eye + dt * f + dt**2 / 2.0 * square + dt**3 / 6.0 * (square @ f)
-    root = dt * (eye + dt / 2.0 * f + dt**2 / 6.0 * square) @ _noise_input(c)
-    q = root @ (_density() / dt) @ _transposed(root)
+    phi, q = third_order(f, _noise_input(c), _density(), dt)
     phi, q = phi.reshape(-1, steps, 18, 18), q.reshape(-1, steps, 18, 18)
     over, noise = phi[:, 0], q[:, 0]
     for i in range(1, steps):
-        noise = phi[:, i] @ noise @ _transposed(phi[:, i]) + q[:, i]
+        noise = phi[:, i] @ noise @ transposed(phi[:, i]) + q[:, i]
         over = phi[:, i] @ over
     return over, noise
 
@@ -325,10 +314,6 @@ def _standard(p: Array, scale: Array) -> Array:
     sd = np.sqrt(np.einsum("kii->ki", p))
     heading = sd[:, 2] / DEG_TO_RAD * 60.0
     return np.column_stack([sd[:, 7] * scale[0], sd[:, 6] * scale[1], sd[:, 8], heading])
-
-
-def _transposed(a: Array) -> Array:
-    return np.swapaxes(a, -1, -2)
 
 
 def errata_table(truth: Trajectory, gap: tuple[float, float]) -> Table:

@@ -37,10 +37,10 @@ def draw(plan: Plan, one: Realisation, gaps: Ensemble, flights: Sequence[Flight]
         "figure_2_attitude": _attitude(one, windows),
         "figure_3_velocity": _velocity(one, windows),
         "figure_4_coordinates": _coordinates(one, windows),
-        "figure_5_gnss_errors": _fixes(one, ~np.zeros_like(held), _NONE, "Errors of the fixes"),
-        "figure_6_errors": _errors(one.whole, _NONE, "Errors of the filter, GNSS throughout"),
-        "figure_7_gnss_errors_gaps": _fixes(one, ~held, windows, "Errors of the fixes, three gaps"),
-        "figure_8_errors_gaps": _errors(one.gaps, windows, "Errors of the filter, three gaps"),
+        "figure_5_gnss_errors": _fixes(one, ~np.zeros_like(held), _NONE, "Figure 5: errors of the fixes"),
+        "figure_6_errors": _errors(one.whole, _NONE, "Figure 6: errors of the filter, GNSS throughout"),
+        "figure_7_gnss_errors_gaps": _fixes(one, ~held, windows, "Figure 7: errors of the fixes, three gaps"),
+        "figure_8_errors_gaps": _errors(one.gaps, windows, "Figure 8: errors of the filter, three gaps"),
         "gap_1_restarted": _restarted(plan, gaps, flights),
     }
 
@@ -49,7 +49,7 @@ def _route(one: Realisation, windows: Windows) -> Figure:
     """Route seen from above; the stretches without GNSS stand out."""
     truth = one.truth
     lat, lon = np.degrees(truth.lla[:, 0]), np.degrees(truth.lla[:, 1])
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(8.0, 3.3), layout="constrained", facecolor="white")
     ax = figure.subplots()
     style.tidy(ax)
     ax.plot(*style.thin(lon, lat), color=COLORS["blue"], lw=1.4, label="route")
@@ -61,7 +61,7 @@ def _route(one: Realisation, windows: Windows) -> Figure:
     ax.set_aspect(1.0 / np.cos(truth.lla[0, 0]))
     ax.set_xlabel("Longitude (deg)")
     style.label(ax, "Latitude (deg)")
-    figure.suptitle("Figure 1: route", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    style.head(figure, "Figure 1: route")
     style.legend(figure, [ax])
     return figure
 
@@ -78,9 +78,9 @@ def _series(title: str, time_s: Array, rows: Sequence[tuple[str, Array]], window
 
 
 def _attitude(one: Realisation, windows: Windows) -> Figure:
-    euler = np.degrees(_core.quat_to_euler(np.ascontiguousarray(one.truth.q_nb)))
-    heading = np.mod(euler[:, 2], 360.0)
-    rows = [("Heading (deg)", heading), ("Pitch (deg)", euler[:, 1]), ("Roll (deg)", euler[:, 0])]
+    euler = np.degrees(np.unwrap(_core.quat_to_euler(np.ascontiguousarray(one.truth.q_nb)), axis=0))
+    names = ("Roll (deg)", "Pitch (deg)", "Heading,\nnot wrapped (deg)")
+    rows = [(names[i], euler[:, i]) for i in (2, 1, 0)]
     return _series("Figure 2: attitude", seconds(one.truth.t_ns), rows, windows)
 
 
@@ -101,8 +101,7 @@ def _coordinates(one: Realisation, windows: Windows) -> Figure:
 
 def _fixes(one: Realisation, shown: NDArray[np.bool_], windows: Windows, title: str) -> Figure:
     """Errors of the fixes, position left and velocity right."""
-    number = "5" if not len(windows) else "7"
-    figure, axes = style.grid(3, 2, title=f"Figure {number}: {title.lower()}", width=10.0, row_height=1.7)
+    figure, axes = style.grid(3, 2, title=title, width=10.0, row_height=1.7)
     for column, (first, unit) in enumerate(((0, "m"), (3, "m/s"))):
         for row, (name, (i, sign)) in enumerate(zip(_NAMES, _ENU, strict=True)):
             ax = axes[row, column]
@@ -117,8 +116,7 @@ def _fixes(one: Realisation, shown: NDArray[np.bool_], windows: Windows, title: 
 
 def _errors(errors: NavErrors, windows: Windows, title: str) -> Figure:
     """Errors of the filter with its 3-sigma bands, position left and velocity right."""
-    number = "6" if not len(windows) else "8"
-    figure, axes = style.grid(3, 2, title=f"Figure {number}: {title.lower()}", width=10.0, row_height=1.7)
+    figure, axes = style.grid(3, 2, title=title, width=10.0, row_height=1.7)
     sides = ((errors.position, errors.sd[:, :3], "m"), (errors.velocity, errors.sd[:, 3:6], "m/s"))
     settled = errors.time_s > 60.0
     for column, (every, sds, unit) in enumerate(sides):
@@ -143,14 +141,8 @@ def _restarted(plan: Plan, gaps: Ensemble, flights: Sequence[Flight]) -> Figure:
     rows = [gaps.at(t) for t in epochs]
     ours, sigma = gaps.rms()[rows, 6:9], gaps.sigma()[rows, 6:9]
     theirs = np.sqrt(np.mean(np.array([flight.restarted[0] for flight in flights]) ** 2, axis=0))
-    figure, axes = style.grid(1, 3, width=10.0, row_height=2.8)
-    figure.suptitle(
-        f"Position error in the first gap, rms of {gaps.runs} runs",
-        x=0.01,
-        ha="left",
-        fontsize=12,
-        fontweight="bold",
-    )
+    title = f"Position error in the first gap, rms of {gaps.runs} runs"
+    figure, axes = style.grid(1, 3, title=title, width=10.0, row_height=2.8)
     for column, (name, (i, _)) in enumerate(zip(_NAMES, _ENU, strict=True)):
         ax = axes[0, column]
         ax.plot(epochs, theirs[:, i], color=COLORS["red"], lw=1.4, label="INS restarted at the gap")

@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gnssins import _core
 from gnssins.analysis import Ensemble, NavErrors, Sample, compare, ned_difference, run_seed, sample_run
 from gnssins.config import Config
 from gnssins.dataset import TruthTable
@@ -19,6 +18,7 @@ from gnssins.result import Result
 from gnssins.runner import run
 from gnssins.sim import Simulated, Simulator, load_scenario, scenario_from_dict
 from gnssins.sim.initial import draw_initial_state
+from gnssins.uncoupled import separated
 from gnssins.units import NS_PER_S
 
 __all__ = [
@@ -198,48 +198,18 @@ def fly_reading(plan: Plan, reading: str, simulator: Simulator, seed: int, index
 
 
 def restarted_errors(simulated: Simulated, gaps: Sequence[tuple[float, float]]) -> list[Array]:
-    """Position errors of a free INS whose position and velocity are set from the last fix before each gap.
+    """Position errors of a free INS that is set to the last fix before each gap, :func:`gnssins.separated`.
 
-    It starts with the drawn initial errors and integrates the raw increments; its attitude and its sensors are never
-    corrected.
+    It starts with the drawn initial errors; its attitude and its sensors are never corrected.
 
     Returns
     -------
     list of ndarray, shape (seconds, 3)
         Per gap ``begin + 1, ..., end - 1`` s: north, east, down (m).
     """
-    data, start = simulated.dataset, simulated.initial
-    truth = data.truth
-    if truth is None:
-        raise TypeError("the simulated flight has no truth")
-    t_ns = np.concatenate([[start.t_ns], data.imu.t_ns])
-    scenario = simulated.scenario.truth
-    equations = (scenario.model, scenario.ellipsoid, scenario.gravity, scenario.coning)
-    lla, v_n, q_nb = start.lla, start.v_n, start.q_nb
-    done, out = 0, []
-    for begin, end in gaps:
-        fix = int(np.searchsorted(data.gnss.t_ns, round(begin * NS_PER_S))) - 1
-        for until_ns in (int(data.gnss.t_ns[fix]), round((end - 1.0) * NS_PER_S)):
-            last = int(np.searchsorted(t_ns, until_ns))
-            zero = np.zeros((1, 3))
-            lla_k, v_k, q_k = _core.strapdown(
-                *equations,
-                t_ns[done : last + 1],
-                np.vstack([zero, data.imu.gyro[done:last]]),
-                np.vstack([zero, data.imu.accel[done:last]]),
-                lla,
-                v_n,
-                q_nb,
-            )
-            lla, v_n, q_nb = lla_k[-1], v_k[-1], q_k[-1]
-            if until_ns == data.gnss.t_ns[fix]:
-                lla, v_n = data.gnss.lla[fix], data.gnss.v_n[fix]
-                done = last
-        seconds_ns = np.rint(np.arange(begin + 1.0, end) * NS_PER_S).astype(np.int64)
-        rows, true = np.searchsorted(t_ns[done:], seconds_ns), np.searchsorted(truth.t_ns, seconds_ns)
-        out.append(ned_difference(lla_k[rows], truth.lla[true], scenario.ellipsoid))
-        done = last
-    return out
+    free = separated(simulated, "restart-at-gap", outages=gaps, vertical="free", output_rate_hz=1.0)
+    errors = compare(free, simulated.truth)
+    return [errors.between(begin, end - 0.5).position for begin, end in gaps]
 
 
 def _first_nis(result: Result, gaps: Sequence[tuple[float, float]]) -> Array:
@@ -290,10 +260,7 @@ class Realisation:
     @property
     def truth(self) -> TruthTable:
         """True motion."""
-        truth = self.simulated.dataset.truth
-        if truth is None:
-            raise TypeError("the simulated flight has no truth")
-        return truth
+        return self.simulated.truth
 
 
 def realise(plan: Plan, seed: int) -> Realisation:

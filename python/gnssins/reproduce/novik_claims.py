@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gnssins.analysis.consistency import direction
 from gnssins.reproduce.novik_filter import Observations, waiting
 from gnssins.reproduce.novik_free import Uncoupled, uncoupled_growth
-from gnssins.reproduce.novik_integrity import settled
+from gnssins.reproduce.novik_integrity import UNSETTLED_S, settled
 from gnssins.reproduce.novik_linear import Honest
 from gnssins.reproduce.novik_runs import Fault, Feedback
 from gnssins.reproduce.novik_tables import AXES, ENU, PUBLISHED, STATES, Runs, growth, mean_nees
@@ -37,9 +37,18 @@ _WANTED: Final = {
 _GROWTH: Final = (3.3, 2.7, 0.5)
 _BOUND_M: Final = 10.0
 
+#: Why the gyros are not judged: 0.05 to 0.26 deg/h cannot be the residual of gyros of 0.003 deg/h.
+_OTHER_UNIT: Final = (
+    "not judged: the published unit was coarser; ours hardly falls below the 0.003 deg/h of the start"
+)
+
 #: The ratio of error to sigma is wanted within +-18 %, the 99 % bounds of 100 runs.
+#: Runs in pairs that differ by no more than so many sigma have ratios no farther apart than that, whatever they are.
 _RATIO: Final = 0.18
 _ENOUGH: Final = 100
+
+#: Columns of velocity and position down.
+_VERTICAL: Final = (5, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +106,12 @@ def _accuracy_claims(runs: Runs, honest: Honest) -> list[Claim]:
                 state.unit,
                 float(loop.rms()[k, i] * f),
                 _WANTED.get(state.key),
+                "at most" if state.key in _WANTED else "beside",
                 published=PUBLISHED[state.key],
                 sigma=float(loop.sigma()[k, i] * f),
                 median=float(loop.median()[k, i] * f),
                 p95=float(loop.p95()[k, i] * f),
+                note="" if state.key in _WANTED else _OTHER_UNIT,
             )
         )
     ratio = loop.ratio()[k]
@@ -217,8 +228,6 @@ def _outage_claims(runs: Runs, apart: Sequence[Mapping[str, Uncoupled]]) -> list
                 f"horizontal growth after {length}: INS slaved to GNSS until then, over the complex",
                 "",
                 gains["slaved"],
-                1.0,
-                "at least",
                 note=f"free INS that is only restarted at the outage: {gains['restart-at-gap']:.1f}",
             )
         )
@@ -251,16 +260,17 @@ def _integrity_claims(runs: Runs, faults: Sequence[Fault]) -> list[Claim]:
     for step, wanted, axes in ((20.0, 0.99, (0, 1, 2)), (15.0, 0.95, (0, 1))):
         for i in axes:
             settled_share, always, theirs = caught(step, i)
+            why = "" if always >= wanted else "before and there the filter rightly expects steps; "
             out.append(
                 Claim(
                     f"step_{step:.0f}_{AXES[i]}",
-                    f"step of {step:.0f} m {AXES[i]} caught at the first fix, chi-square, settled filter: share",
+                    f"step of {step:.0f} m {AXES[i]} caught at the first fix, chi-square, all fixes: share",
                     "",
-                    settled_share,
+                    always,
                     wanted,
                     "at least",
-                    note=f"all fixes, the first ones and changes of the constellation too: {always:.4f}; the published "
-                    f"ratio, settled: {theirs:.4f}",
+                    note=f"from {runs.plan.settle_s:.0f} s on, without {UNSETTLED_S:.0f} s after a change of the "
+                    f"constellation: {settled_share:.4f}; {why}the published ratio: {theirs:.4f}",
                 )
             )
     shift = float(np.mean([f.shift[80] for f in faults]))
@@ -312,9 +322,12 @@ def _feedback_claims(found: Measured) -> list[Claim]:
     period = max(found.feedback[0].unit)
     always, rare = waiting(found.feedback, "unit", period, found.seed)
     mean, dof, (low, high) = mean_nees(rare, "all")
-    ratio = rare.rms()[-1] / always.rms()[-1]
-    most = int(np.argmax(np.abs(np.log(ratio))))
-    name = next(s.name for s in STATES if s.column == most)
+    apart = (rare.errors[:, -1] - always.errors[:, -1]) / always.sigma()[-1]
+    rms = np.sqrt(np.mean(apart**2, axis=0))
+    second, most = (int(i) for i in np.argsort(rms)[-2:])
+    name, other = (next(s.name for s in STATES if s.column == i) for i in (most, second))
+    shift, scatter = apart[:, most].mean(), apart[:, most].std() / math.sqrt(max(len(apart) - 1, 1))
+    cause = "the terms of second order act on the vertical; " if most in _VERTICAL else ""
     bound = f"{found.bound_s:.0f} s, longer than the flight: none at all"
     return [
         Claim(
@@ -329,14 +342,14 @@ def _feedback_claims(found: Measured) -> list[Claim]:
             note=bound,
         ),
         Claim(
-            "feedback_rms",
-            "the same: rms of every state over that with feedback at every fix, furthest from 1",
-            "",
-            float(ratio[most]),
-            sense="within",
-            low=1.0 - _RATIO,
-            high=1.0 + _RATIO,
-            note=f"{name}, {len(found.feedback)} runs",
+            "feedback_apart",
+            "the same: difference from feedback at every fix, run by run, rms of the state with the largest",
+            "sigma",
+            float(rms[most]),
+            _RATIO,
+            note=f"{name}, mean {abs(shift):.2f} +- {scatter:.2f} sigma: "
+            f"{'systematic, ' if abs(shift) > 3.0 * scatter else ''}{cause}next {other}, {rms[second]:.2f}; "
+            f"{len(apart)} runs in pairs",
         ),
     ]
 
@@ -344,15 +357,12 @@ def _feedback_claims(found: Measured) -> list[Claim]:
 def _observation_claims(seen: Observations) -> list[Claim]:
     """Rank of S, and that seven rows lose nothing."""
     return [
-        Claim("rank", "rank of S of the eight printed observations", "", seen.rank, 7, "equal"),
+        Claim("rank", "rank of S of the eight printed observations", "", seen.rank),
         Claim(
             "seven_rows",
             "gain of seven rows against the pseudo-inverse of all eight, relative difference",
             "",
             seen.same,
-            0,
-            "equal",
-            tolerance=1e-6,
         ),
     ]
 

@@ -16,12 +16,20 @@ from gnssins.reproduce.novik_tables import AXES, ENU, Runs
 from gnssins.reproduce.report import Cell, Table
 from gnssins.units import NS_PER_S
 
-__all__ = ["absorbed_table", "alarm_table", "ramp_table", "settled", "step_table", "tolerance_share"]
+__all__ = [
+    "UNSETTLED_S",
+    "absorbed_table",
+    "alarm_table",
+    "ramp_table",
+    "settled",
+    "step_table",
+    "tolerance_share",
+]
 
 _PARTS: Final[tuple[Part, Part]] = ("position", "velocity")
 
 #: Seconds after a change of the constellation during which the filter rightly expects steps.
-_UNSETTLED_S: Final = 10.0
+UNSETTLED_S: Final = 10.0
 
 
 def settled(tests: Integrity, plan: Plan) -> Integrity:
@@ -30,7 +38,7 @@ def settled(tests: Integrity, plan: Plan) -> Integrity:
     t = tests.t_ns / NS_PER_S
     keep = t > plan.settle_s
     for change in gnss.constellation_changes if gnss is not None else ():
-        keep &= (t < change) | (t >= change + _UNSETTLED_S)
+        keep &= (t < change) | (t >= change + UNSETTLED_S)
     return _subset(tests, keep)
 
 
@@ -107,7 +115,7 @@ def step_table(runs: Runs) -> Table:
         "Share of steps caught at the first fix",
         ["part", "step", "test", *AXES],
         rows,
-        f"Fixes after {runs.plan.settle_s:.0f} s, those of {_UNSETTLED_S:.0f} s after a change of the constellation "
+        f"Fixes after {runs.plan.settle_s:.0f} s, those of {UNSETTLED_S:.0f} s after a change of the constellation "
         f"left out; there the filter rightly\nexpects a step. Limits: ratio {runs.tests.delta:g}, chi-square "
         f"{chi_square_limit(FALSE_ALARM):.1f}.",
     )

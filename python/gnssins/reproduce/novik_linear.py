@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 #: Filters that differ in something else than one element of F.
 _OTHERS: Final = {
     "22*": "f23 = +lat R0/R: the angle for its rate",
-    "32": "G dt for G sqrt(dt), filter at 10 Hz",
+    "32": "G dt for G sqrt(dt) of the INS, filter at 10 Hz",
     "33": "row 8 kept, with a diagonal R",
     "white": "no misprint: slow GNSS errors taken for white noise",
 }
@@ -188,7 +188,9 @@ class _Filter:
             phi = phi.copy()
             phi[:, 1, 2] = 0.96  # the latitude, rad, times R0/R and one second
         if name == "32":
-            q = 0.1 * model[1] + jump
+            # printed for the noise of the INS; that of barometer and receiver has its own, right form
+            q = q.copy()
+            q[:, :15, :15] *= 0.1
         if name == "33":
             r = r * np.eye(8)
         if name == "white":

@@ -254,6 +254,24 @@ def refuse_foreign(folder: Path) -> None:
         )
 
 
+def refuse_others(folder: Path) -> None:
+    """Raise a :class:`ConfigError` if ``folder`` has tables or figures, and no reproduction that could be theirs.
+
+    Names of tables and figures are known only when everything is computed; one of somebody else's could be among them.
+    """
+    if not folder.is_dir() or (folder / SUMMARY_FILE).exists():
+        return
+    others = sorted(path.name for path in folder.iterdir() if path.name.endswith((".csv", ".png", ".txt")))
+    if others:
+        raise ConfigError(
+            "config.output_foreign",
+            f"{folder}: has {len(others)} tables, figures or texts that are of no reproduction (such as {others[0]}) "
+            "and could be written over",
+            "name a new folder with --out",
+            {"files": others},
+        )
+
+
 def _summary(path: Path) -> dict[str, Any] | None:
     """A summary that a reproduction wrote, or None."""
     try:

@@ -1,12 +1,8 @@
 """What the printed forms of Vasilyuk (2019) do, told by two covariances: the filter's own, and that of its true error.
 
 The system along one walk is linear once it is known where the walk leads (``Result.linearisation``). A filter with a
-wrong transition A in place of Phi, or a wrong Q, computes a wrong P and a wrong gain K; its true error has the
-covariance
-
-    Pi- = Phi Pi Phi' + Q,    Pi+ = (I - K H) Pi- (I - K H)' + K R K'
-
-with the right Phi and Q, whatever the filter believes (Gelb 1974, section 7.2). The expected NEES is the trace of
+wrong transition in place of Phi, or a wrong Q, computes a wrong P and a wrong gain; the covariance Pi of its true error
+takes that gain through the right system (:mod:`gnssins.reproduce.covariances`). The expected NEES is the trace of
 P^-1 Pi. Nothing is drawn.
 """
 
@@ -23,6 +19,7 @@ from numpy.typing import NDArray
 from gnssins.alignment import InitialState
 from gnssins.analysis.noise import BandLimited, gauss_markov_noise
 from gnssins.analysis.stacking import c_en
+from gnssins.reproduce.covariances import corrected, gain
 from gnssins.reproduce.report import Cell, Table
 from gnssins.reproduce.vasilyuk_runs import Plan, matched
 from gnssins.result import Linearisation, Result
@@ -179,10 +176,8 @@ def _prior(start: InitialState, turn: Array) -> Array:
 
 def _correct(pi: Array, p: Array, h: Array, r: Array) -> tuple[Array, Array]:
     """One fix with the filter's own gain, on the true covariance and on its own (Joseph form)."""
-    gain = np.linalg.solve(h @ p @ h.T + r, h @ p).T
-    left = np.eye(p.shape[0]) - gain @ h
-    noise = gain @ r @ gain.T
-    return left @ pi @ left.T + noise, left @ p @ left.T + noise
+    own = gain(p, h, r)
+    return corrected(pi, own, h, r), corrected(p, own, h, r)
 
 
 def _horizontal(p: Array, turn: Array) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -15,13 +14,11 @@ from gnssins.analysis import Ensemble, Observability, ned_difference, observabil
 from gnssins.plots import style
 from gnssins.plots.style import BAND, COLORS
 from gnssins.reproduce.vasilyuk_runs import Plan, Walk, growths
-from gnssins.reproduce.vasilyuk_tables import PUBLISHED_GROWTH
+from gnssins.reproduce.vasilyuk_tables import DEG, PUBLISHED_GROWTH
 from gnssins.runner import run
 from gnssins.units import NS_PER_S
 
 __all__ = ["draw"]
-
-_DEG: Final = 180.0 / math.pi
 
 #: Walks drawn one by one.
 _SHOWN: Final = 30
@@ -57,7 +54,7 @@ def _route(plan: Plan) -> Figure:
     ax.set_aspect("equal")
     ax.set_xlabel("East (m)")
     style.label(ax, "North (m)")
-    figure.suptitle("Walk with the pole", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    style.head(figure, "Walk with the pole")
     style.legend(figure, [ax])
     return figure
 
@@ -67,14 +64,12 @@ def _gyro_bias(plan: Plan, whole: Ensemble) -> Figure:
     figure, axes = style.grid(3, title="Gyro biases: estimate minus truth")
     for row, name in enumerate(("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")):
         ax, i = axes[row, 0], whole.column(name)
-        sd = 3.0 * _DEG * whole.sigma()[:, i]
+        sd = 3.0 * DEG * whole.sigma()[:, i]
         ax.fill_between(whole.time_s, -sd, sd, **BAND)
         for k in range(min(whole.runs, _SHOWN)):
             label = "one walk" if k == 0 else "_"
-            ax.plot(whole.time_s, _DEG * whole.errors[k, :, i], color=COLORS["grey"], lw=0.5, label=label)
-        ax.plot(
-            whole.time_s, _DEG * whole.rms()[:, i], color=COLORS["blue"], lw=1.4, label="rms of the walks"
-        )
+            ax.plot(whole.time_s, DEG * whole.errors[k, :, i], color=COLORS["grey"], lw=0.5, label=label)
+        ax.plot(whole.time_s, DEG * whole.rms()[:, i], color=COLORS["blue"], lw=1.4, label="rms of the walks")
         for stretch in plan.stretches:
             if stretch.is_turn:
                 ax.axvline(stretch.start_s, color=COLORS["orange"], lw=1.0, label="turn")
@@ -96,7 +91,7 @@ def _growth(walks: Sequence[Walk], raw: Sequence[Walk], quantity: str, label: st
 def _attitude(walks: Sequence[Walk], raw: Sequence[Walk]) -> Figure:
     figure, axes = style.grid(3, title="Growth of the attitude errors without fixes")
     for ax, quantity in zip(axes[:, 0], ("roll", "pitch", "heading"), strict=True):
-        _lines(ax, walks, raw, quantity, _DEG)
+        _lines(ax, walks, raw, quantity, DEG)
         style.label(ax, f"{quantity.capitalize()} (deg)")
     axes[2, 0].set_xlabel("Time since the loss of fixes (s)", fontsize=10)
     style.legend(figure, axes[:, 0])
@@ -110,16 +105,17 @@ def _lines(ax: Axes, walks: Sequence[Walk], raw: Sequence[Walk], quantity: str, 
     at = corrected.at_s
     for growth, reading, colour, dashes, text in (
         (corrected, "rms", "black", "-", "growth"),
-        (truth, "rms", "green", "-", "error against the truth"),
+        (truth, "rms", "green", "-.", "error against the truth"),
         (truth, "sigma", "sky", "--", "filter's sigma"),
-        (other, "rms", "orange", "-", "growth, uncalibrated"),
+        (other, "rms", "orange", ":", "growth, uncalibrated"),
     ):
         values = [factor * growth.value(reading, quantity, float(t)) for t in at]
-        ax.plot(at, values, dashes, color=COLORS[colour], lw=1.4, label=text)
+        ax.plot(at, values, dashes, color=COLORS[colour], lw=1.6, label=text)
     ax.plot(
         (10.0, 20.0), PUBLISHED_GROWTH[quantity], "D", color=COLORS["red"], ms=6, label="published growth"
     )
     ax.set_ylim(bottom=0.0)
+    ax.set_xticks(np.arange(0.0, 20.5, 5.0))
 
 
 def _observability(plan: Plan, variant: str, seed: int, title: str) -> Figure:

@@ -27,7 +27,7 @@ from gnssins.config import Config
 from gnssins.result import Result
 from gnssins.runner import run
 from gnssins.sim import Simulated, Simulator, Trajectory
-from gnssins.tables import wrap_pi
+from gnssins.tables import stretches, wrap_pi
 from gnssins.units import NS_PER_S
 
 __all__ = ["PUBLISHED", "SCENARIO", "Plan", "Stretch", "Walk", "growths", "matched", "together", "walk"]
@@ -134,17 +134,11 @@ def _stretches(path: Trajectory) -> tuple[Stretch, ...]:
     turning = (np.abs(rate) > 0.5 * np.abs(rate).max()) & moving
     straights = [
         Stretch(f"straight {i + 1}", float(t_s[a]), float(t_s[b - 1]))
-        for i, (a, b) in enumerate(_pieces(even, 500))
+        for i, (a, b) in enumerate(stretches(even, 500))
     ]
-    middles = [0.5 * float(t_s[a] + t_s[b - 1]) for a, b in _pieces(turning, 20)]
+    middles = [0.5 * float(t_s[a] + t_s[b - 1]) for a, b in stretches(turning, 20)]
     turns = [Stretch(f"turn {i + 1}", middle, middle) for i, middle in enumerate(middles)]
     return tuple(sorted([*straights, *turns], key=lambda s: s.start_s))
-
-
-def _pieces(mask: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
-    """First and past-the-last index of every stretch of True of at least so many samples."""
-    change = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in change.reshape(-1, 2) if b - a >= least]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +179,7 @@ def walk(plan: Plan, simulator: Simulator, seed: int, index: int, *, watched: in
     """Simulate walk ``index``, filter it with and without the gap; see what was observable in the first ``watched``."""
     observed = index < watched
     simulated = matched(simulator.run(run_seed(seed, index)))
-    truth = simulated.dataset.truth
-    if truth is None:
-        raise TypeError("the simulated walk has no truth")
+    truth = simulated.truth
     whole = run(plan.config(linearise=observed), simulated)
     coasted = run(plan.config(gap=True), simulated)
     windows: tuple[Observability, ...] = ()

@@ -16,6 +16,7 @@ from gnssins.reproduce.vasilyuk_runs import Plan, Walk, growths
 from gnssins.tables import table_unit
 
 __all__ = [
+    "DEG",
     "FOUR",
     "PUBLISHED_GROWTH",
     "TARGETS",
@@ -31,7 +32,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_DEG: Final = 180.0 / math.pi
+#: Degrees per radian.
+DEG: Final = 180.0 / math.pi
 
 #: Components that the publication ever found unobservable.
 FOUR: Final = frozenset({"phi_z", "gyro_bias_z", "accel_bias_x", "accel_bias_y"})
@@ -52,9 +54,9 @@ TARGETS: Final = {
 
 _UNITS: Final = {
     "horizontal": ("m", 1.0),
-    "roll": ("deg", _DEG),
-    "pitch": ("deg", _DEG),
-    "heading": ("deg", _DEG),
+    "roll": ("deg", DEG),
+    "pitch": ("deg", DEG),
+    "heading": ("deg", DEG),
 }
 
 _TIMES: Final = (5.0, 10.0, 15.0, 20.0)
@@ -104,8 +106,8 @@ def growth_table(walks: Sequence[Walk]) -> Table:
             "filter's sigma",
         ],
         rows,
-        "Published, and judged: uncorrected minus corrected run of the same filter. It hides what both share: the "
-        "error of the heading itself is several times its growth.",
+        "Published: uncorrected minus corrected run of the same filter. It hides what both share: the error of the "
+        "heading itself is several times its growth. Both are judged.",
     )
 
 
@@ -149,9 +151,9 @@ def settling_table(plan: Plan, whole: Ensemble) -> Table:
         k = whole.at(time)
         row: list[Cell] = [time]
         for name, factor in (
-            ("phi_d", _DEG),
-            ("gyro_bias_z", _DEG),
-            ("gyro_bias_x", _DEG),
+            ("phi_d", DEG),
+            ("gyro_bias_z", DEG),
+            ("gyro_bias_x", DEG),
             ("accel_bias_x", table_unit("m/s^2").factor),
             ("accel_bias_z", table_unit("m/s^2").factor),
         ):
@@ -233,8 +235,10 @@ class Seen:
         Share of windows in which a state is flagged.
     four_only : float
         Share of windows that flag exactly the published four.
-    clears : float
-        Share of walks with a window of rank 14 at least in which no accelerometer is flagged.
+    clear : float
+        Share of windows of rank 14 at least in which no accelerometer is flagged.
+    middle : float
+        Share of walks whose window at the middle of the stretch is such a one.
     """
 
     name: str
@@ -243,7 +247,8 @@ class Seen:
     highest: int
     flagged: dict[str, float]
     four_only: float
-    clears: float
+    clear: float
+    middle: float
 
 
 def seen(plan: Plan, walks: Sequence[Walk], *, sigma: bool = False) -> list[Seen]:
@@ -255,7 +260,9 @@ def seen(plan: Plan, walks: Sequence[Walk], *, sigma: bool = False) -> list[Seen
         flags, rank = np.concatenate([p.flags for p in parts]), np.concatenate([p.rank for p in parts])
         exact = (flags == np.array([n in FOUR for n in names])).all(axis=1)
         accel = [k for k, n in enumerate(names) if n.startswith("accel_bias")]
-        clear = [bool(((p.rank >= 14) & ~p.flags[:, accel].any(axis=1)).any()) for p in parts]
+        clear = [(p.rank >= 14) & ~p.flags[:, accel].any(axis=1) for p in parts]
+        at_s = 0.5 * (stretch.start_s + stretch.end_s)
+        middle = [np.abs(0.5 * (p.first_s + p.t_s) - at_s).argmin() for p in parts]
         found.append(
             Seen(
                 stretch.name,
@@ -264,7 +271,8 @@ def seen(plan: Plan, walks: Sequence[Walk], *, sigma: bool = False) -> list[Seen
                 int(rank.max()),
                 dict(zip(names, flags.mean(axis=0).tolist(), strict=True)),
                 float(exact.mean()),
-                float(np.mean(clear)),
+                float(np.concatenate(clear).mean()),
+                float(np.mean([c[k] for c, k in zip(clear, middle, strict=True)])),
             )
         )
     return found

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..alignment import InitialState
 from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, TruthTable
-from ..errors import ConfigError
+from ..errors import ConfigError, InputError
 from .aiding import simulate_gnss
 from .aids import simulate_baro, simulate_heading
 from .imu import simulate_imu
@@ -82,6 +82,19 @@ class Simulated:
     scenario: Scenario
     seed: int
     outages: tuple[tuple[float, float], ...]
+
+    @property
+    def truth(self) -> TruthTable:
+        """True motion of the dataset, which a simulated run always has.
+
+        Raises
+        ------
+        InputError
+            ``input.no_truth``: it was taken away.
+        """
+        if self.dataset.truth is None:
+            raise InputError("input.no_truth", "the simulated run has no truth")
+        return self.dataset.truth
 
 
 class Simulator:

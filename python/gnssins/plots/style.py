@@ -128,7 +128,7 @@ def _columns(letters: list[int], width_in: float) -> int:
         rows = -(-len(letters) // columns)
         parts = [letters[i : i + rows] for i in range(0, len(letters), rows)]
         if sum(0.6 + 0.068 * max(part) for part in parts) < width_in:
-            return columns
+            return -(-len(letters) // rows)  # lines of like length
     return 1
 
 

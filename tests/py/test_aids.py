@@ -250,3 +250,22 @@ def test_the_linearised_system_carries_the_covariance(drive):
     np.testing.assert_allclose(lin.phi[1:, 0, 9], -dt * np.cos(0.0), rtol=0.9)
     np.testing.assert_allclose(np.linalg.det(lin.phi), 1.0, atol=1e-4)
     assert gnssins.run(CONFIG | {"run": {}}, replace(drive, dataset=data)).linearisation is None
+
+
+def test_components_refused_by_parts_are_drawn_as_refused(drive):
+    from matplotlib import pyplot as plt
+
+    from gnssins import plots
+
+    config = {**CONFIG, "run": {}, "gnss": {**CONFIG["gnss"], "gate": "parts", "reacquire_after": "off"}}
+    result = gnssins.run(config, with_fault(drive, 60.0, 85.0))
+    figure = plots.innovations(result)
+    crosses = {
+        ax.get_ylabel() + str(ax.get_subplotspec().colspan.start): sum(
+            len(line.get_xdata()) for line in ax.lines if line.get_marker() in ("x", "^", "v")
+        )
+        for ax in figure.axes
+    }
+    position = [n for name, n in crosses.items() if name.endswith("0")]
+    assert max(position) >= (result.records.refused == 0b111).sum() - 1
+    plt.close(figure)

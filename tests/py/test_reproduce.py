@@ -411,3 +411,10 @@ def test_the_python_of_the_how_to_runs(repository, capsys):
     (block,) = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     exec(compile(block, "howto/reproduce.md", "exec"), {})
     assert "error/sigma" in capsys.readouterr().out
+
+
+def test_columns_of_a_csv_file_have_names_of_their_own(tmp_path):
+    table = Table("t", "Title", ("", "a", "sigma", "b", "sigma"), [["x", 1.0, 2.0, 3.0, 4.0]])
+    table.write_csv(tmp_path / "t.csv")
+    head = (tmp_path / "t.csv").read_text().splitlines()[0]
+    assert head == "column_1,a,sigma,b,sigma (2)"

@@ -10,6 +10,7 @@ import numpy as np
 from ..config import Config
 from ..dataset import Dataset
 from ..units import ms_to_ns
+from .aids import check_aids
 from .findings import LEVELS, Finding, Level, raise_on_stop
 from .gnss import check_gnss
 from .imu import check_imu
@@ -44,6 +45,7 @@ def check_dataset(dataset: Dataset, config: Config | None = None) -> list[Findin
             *check_overlap(dataset, start_s),
             *check_imu(dataset, config, latency_ns),
             *check_gnss(dataset.gnss),
+            *check_aids(dataset, config),
         ]
     if not len(dataset.imu):
         findings.append(Finding("stop", "data.imu_empty", "imu: no rows", "check [imu] file"))

@@ -198,11 +198,21 @@ def _start(result: Result) -> dict[str, float]:
 
 def _count_lines(result: Result) -> list[str]:
     lines = []
-    for table, name in (("imu", "IMU"), ("gnss", "GNSS")):
+    for table, name in (("imu", "IMU"), ("gnss", "GNSS"), ("baro", "barometer"), ("heading", "heading")):
+        if table not in result.counts:
+            continue
         counts = dict(result.counts[table])
+        used = counts["used"]
         total, held = counts.pop("in"), counts.pop("withheld", 0)
         parts = " + ".join(f"{count} {what}" for what, count in counts.items())
         lines.append(f"{name} rows: {total} in = {parts}" + (f"; {held} withheld" if held else ""))
+        if 2 * used < total:
+            lines.append(
+                f"  more than half of the {name} rows were not used: see events.csv and the hints above"
+            )
+    parted = int(np.count_nonzero(result.records.refused[result.records.is_status("used")]))
+    if parted:
+        lines.append(f"  of the GNSS rows used, {parted} lost position or velocity to a test")
     events = result.event_counts()
     if events:
         lines.append("events: " + ", ".join(f"{count} {code}" for code, count in events.items()))

@@ -53,7 +53,8 @@ def innovations(result: Result) -> Figure:
             ax = axes[row, column]
             style.shade(ax, result.outages())
             seen = np.isfinite(r.innovation[:, i])
-            good, out = seen & ~rejected, seen & rejected
+            refused = rejected | ((r.refused >> i) & 1 == 1)
+            good, out = seen & ~refused, seen & refused
             sd = np.sqrt(r.innovation_cov[:, i, i])
             _bands(ax, time[seen], sd[seen])
             top = _top(r.innovation[good, i], sd[good])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +38,17 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")
 
 #: Content of a table: numbers keep all digits in the CSV file; None is unknown.
 Cell = str | float | int | None
+
+
+def _unique(columns: Sequence[str]) -> list[str]:
+    """Names that a reader of tables can tell apart: an empty one gets its number, a repeated one a counter."""
+    seen: Counter[str] = Counter()
+    names = []
+    for number, column in enumerate(columns, start=1):
+        name = column or f"column_{number}"
+        seen[name] += 1
+        names.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return names
 
 
 @dataclass(frozen=True)
@@ -83,7 +95,7 @@ class Table:
         """Write it with all digits, unknown cells empty."""
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(self.columns)
+            writer.writerow(_unique(self.columns))
             for row in self.rows:
                 writer.writerow(["" if plain(cell) is None else cell for cell in row])
 

@@ -90,7 +90,13 @@ fn parked<M: NavModel>(seconds: u32) -> Result<f64, Error> {
             t_ns += STEP_NS;
             ekf.predict(t_ns, &dtheta, &dvel)?;
         }
-        let fix = GnssFix { t_ns, position: Some(truth), velocity_n: [Some(0.0); 3], covariance, new_constellation: false };
+        let fix = GnssFix {
+            t_ns,
+            position: Some(truth),
+            velocity_n: [Some(0.0); 3],
+            covariance,
+            new_constellation: false,
+        };
         ekf.update(u64::from(second), &fix)?;
     }
     let p = ekf.solution().position;

@@ -283,3 +283,18 @@ def test_the_printed_vertical_channel_swings_where_the_right_one_runs_away():
         ends[name] = x[2]
     assert ends["right"] == pytest.approx(21.5, abs=0.2)
     assert ends["printed"] == pytest.approx(5.5, abs=0.2)
+
+
+def test_the_whole_reproduction_judges_every_claim_and_says_when_runs_are_few(tmp_path):
+    from gnssins.reproduce import reproduce
+
+    found = reproduce("novik-2011", runs=2, seed=3, out=tmp_path)
+    keys = [claim.key for claim in found.claims]
+    assert len(set(keys)) == len(keys) > 40
+    assert all(np.isfinite(claim.ours) for claim in found.claims)
+    missed = [claim for claim in found.claims if claim.judged and not claim.met]
+    assert all(claim.note for claim in missed)
+    # what does not hang on luck is met by two runs as well
+    assert {"rank", "step_20_east", "step_20_north"}.isdisjoint(claim.key for claim in missed)
+    assert (tmp_path / "summary.json").is_file()
+    assert len(list(tmp_path.glob("*.png"))) == len(found.figures) == 10

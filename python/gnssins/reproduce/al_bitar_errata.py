@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from gnssins import _core
 from gnssins.analysis import OutageGrowth, Trajectory, run_seed
 from gnssins.reproduce.al_bitar_runs import Coasted, Plan, coast
+from gnssins.reproduce.covariances import corrected, gain, third_order, transposed
 from gnssins.reproduce.report import Cell, Job, Table
 from gnssins.runner import run
 from gnssins.sim import Simulated, Simulator
@@ -263,13 +264,11 @@ def covariance_outcomes(plan: Plan, truth: Trajectory, fix_s: float = 0.2) -> di
         if not any(begin - 1e-6 <= t <= end + 1e-6 for begin, end in plan.gaps):
             h = np.zeros((6, 21))
             h[0:3, 3:6], h[3:6, 6:9] = np.diag(scale[k]), np.eye(3)
-            gain = claimed @ h.T @ np.linalg.inv(h @ claimed @ h.T + r)
+            right = gain(claimed, h, r)
             turned = np.eye(21)
             turned[0:3, 0:3] = at.c_nb[k]
-            applied = np.stack([gain, turned @ gain])
-            keep, wanted = np.eye(21) - applied @ h, np.eye(21) - gain @ h
-            actual = keep @ actual @ _transposed(keep) + applied @ r @ _transposed(applied)
-            claimed = wanted @ claimed @ wanted.T + gain @ r @ gain.T
+            actual = corrected(actual, np.stack([right, turned @ right]), h, r)
+            claimed = corrected(claimed, right, h, r)
         if k + 1 in ends:
             variances.append([_figures(p, scale[k]) for p in (claimed, *actual)])
     claims, *found = np.sqrt(np.mean(variances, axis=0))
@@ -284,19 +283,14 @@ def covariance_outcomes(plan: Plan, truth: Trajectory, fix_s: float = 0.2) -> di
 def _transition(c: Conditions, dt: float) -> tuple[Array, Array]:
     """Transition and process noise from fix to fix, two steps each, terms to third order, shape (fixes, 21, 21)."""
     f = system_matrix(c)
-    square = f @ f
-    eye = np.eye(21)
-    phi = eye + dt * f + dt**2 / 2.0 * square + dt**3 / 6.0 * (square @ f)
     g = np.zeros((f.shape[0], 21, 18))
     g[:, 0:3, 0:3], g[:, 6:9, 3:6] = -c.c_nb / 2.0, c.c_nb
     g[:, 9:21, 6:18] = np.eye(12)
     gyro, accel = 3.0 * GYRO_BIAS["deg/h"], 20.0 * ACCEL_BIAS["ug"]
     white = [(0.15 * DEG_SQRT_H_TO_RAD_SQRT_S) ** 2, (57.0 * UG_TO_M_S2) ** 2]
     drives = [5e-7**2, 2.0 * gyro**2 / T_GD, 1e-5**2, 2.0 * accel**2 / T_AD]
-    root = dt * (eye + dt / 2.0 * f + dt**2 / 6.0 * square) @ g
-    q = root @ np.diag(np.repeat([*white, *drives], 3) / dt) @ _transposed(root)
-    both = phi[1::2] @ phi[::2]
-    return both, phi[1::2] @ q[::2] @ _transposed(phi[1::2]) + q[1::2]
+    phi, q = third_order(f, g, np.diag(np.repeat([*white, *drives], 3)), dt)
+    return phi[1::2] @ phi[::2], phi[1::2] @ q[::2] @ transposed(phi[1::2]) + q[1::2]
 
 
 def _initial(scale: Array) -> Array:
@@ -310,10 +304,6 @@ def _figures(p: Array, scale: Array) -> list[float]:
     """Variances of the distance (m^2), of a tilt and of the heading (rad^2): twice dq."""
     d = np.diag(p)
     return [float(d[3:6] @ scale**2), float(2.0 * (d[0] + d[1])), float(4.0 * d[2])]
-
-
-def _transposed(a: Array) -> Array:
-    return np.swapaxes(a, -1, -2)
 
 
 # ---- table

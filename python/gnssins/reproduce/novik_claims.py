@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gnssins.analysis.consistency import direction
+from gnssins.reproduce.claim import with_scatter
 from gnssins.reproduce.novik_filter import Observations, waiting
 from gnssins.reproduce.novik_free import Uncoupled, uncoupled_growth
 from gnssins.reproduce.novik_integrity import UNSETTLED_S, settled
@@ -45,7 +46,6 @@ _OTHER_UNIT: Final = (
 #: The ratio of error to sigma is wanted within +-18 %, the 99 % bounds of 100 runs.
 #: Runs in pairs that differ by no more than so many sigma have ratios no farther apart than that, whatever they are.
 _RATIO: Final = 0.18
-_ENOUGH: Final = 100
 
 #: Columns of velocity and position down.
 _VERTICAL: Final = (5, 8)
@@ -80,16 +80,7 @@ def claims(found: Measured) -> list[Claim]:
         *_observation_claims(found.seen),
         *_inertial_claims(found),
     ]
-    return [_with_reason(claim, found.runs.loop.runs) for claim in every]
-
-
-def _with_reason(claim: Claim, runs: int) -> Claim:
-    """A claim that few runs have missed says so."""
-    if claim.met or not claim.judged or claim.note or runs >= _ENOUGH:
-        return claim
-    return replace(
-        claim, note=f"{runs} runs scatter by {100 / math.sqrt(2 * runs):.0f} %; repeat with {_ENOUGH}"
-    )
+    return with_scatter(every, found.runs.loop.runs)
 
 
 def _accuracy_claims(runs: Runs, honest: Honest) -> list[Claim]:

@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gnssins.reproduce.covariances import corrected, gain
 from gnssins.reproduce.novik_matrices import (
     ERRATA,
-    STATES,
     Motion,
     initial_covariance,
     jump_covariance,
@@ -81,17 +81,13 @@ class Honest:
         h, noise = observation(motion, np.zeros(length_s, dtype=np.bool_))
         for k in range(length_s):
             p, cross = phi[k] @ p @ phi[k].T + q[k], phi[k] @ cross
-            gain, keep = _gain(p, h[:1], noise[k, :1] @ noise[k, :1].T)
-            p = keep @ p @ keep.T + gain @ (noise[k, :1] @ noise[k, :1].T) @ gain.T
-            cross = keep @ cross
+            r = noise[k, :1] @ noise[k, :1].T
+            taken = gain(p, h[:1], r)
+            p = corrected(p, taken, h[:1], r)
+            cross = cross - taken @ h[:1] @ cross
         # on the ground at the end: the factors differ by 1e-5 of an error of some metres
         grown = (p + first - cross - cross.T)[:3, :3]
         return np.asarray(np.sqrt(np.diag(grown)) * motion.ground[-1])
-
-
-def _gain(p: Array, h: Array, r: Array) -> tuple[Array, Array]:
-    gain = np.asarray(np.linalg.solve(h @ p @ h.T + r, h @ p).T, dtype=np.float64)
-    return gain, np.eye(STATES) - gain @ h
 
 
 def _epochs(scenario: Scenario, seconds: int) -> tuple[Motion, Motion, NDArray[np.bool_]]:
@@ -114,8 +110,7 @@ def honest(scenario: Scenario, seconds: int) -> Honest:
     every = [p]
     for k in range(seconds):
         p = phi[k] @ p @ phi[k].T + q[k]
-        gain, keep = _gain(p, h, r[k])
-        p = keep @ p @ keep.T + gain @ r[k] @ gain.T
+        p = corrected(p, gain(p, h, r[k]), h, r[k])
         every.append(p)
     return Honest(scenario, np.array(every), np.vstack([start.ground, ends.ground]))
 
@@ -213,9 +208,9 @@ def _fly(
         for k in range(len(phi)):
             p = own.phi[k] @ p @ own.phi[k].T + own.q[k]
             m = phi[k] @ m @ phi[k].T + q[k]
-            gain, keep = _gain(p, h[:rows], own.r[k])
-            p = keep @ p @ keep.T + gain @ own.r[k] @ gain.T
-            m = keep @ m @ keep.T + gain @ real[k] @ gain.T
+            taken = gain(p, h[:rows], own.r[k])
+            p = corrected(p, taken, h[:rows], own.r[k])
+            m = corrected(m, taken, h[:rows], real[k])
             if k >= 100:
                 worst = max(worst, float((np.sqrt(np.abs(np.diag(m)[:3])) * ground[k]).max()))
         nav = slice(0, 9)

@@ -2,36 +2,15 @@
 
 mod common;
 
-use common::{Rng, blocks, dense, dense_transition, distance, fix, settings, solution};
+use common::linearised::{CAP, ORDERS, real_transition, somewhere};
+use common::{Rng, blocks, dense, dense_transition, distance, fix, settings};
 use gnssins::cov::Covariance;
-use gnssins::discretise::{BlockStep, ImuNoise, Order, Transition};
+use gnssins::discretise::{BlockStep, Order, Transition};
 use gnssins::ekf::Ekf;
 use gnssins::error::Error;
 use gnssins::layout::Layout;
 use gnssins::nav::ned::Ned;
-use gnssins::nav::{Dynamics, NavModel, Solution};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
-
-const CAP: usize = 40;
-const W_B: Vector3<f64> = Vector3::new(0.3, -0.2, 0.5);
-const F_B: Vector3<f64> = Vector3::new(1.0, -3.0, -10.0);
-const ORDERS: [Order; 3] = [Order::First, Order::Second, Order::Third];
-
-fn somewhere() -> Solution {
-    solution([-40.0, 120.0, 2000.0], [-120.0, 150.0, 30.0], [25.0, -35.0, 160.0])
-}
-
-fn dynamics() -> Dynamics {
-    Ned::new(settings().earth, &somewhere()).unwrap().dynamics(&F_B)
-}
-
-fn noise() -> ImuNoise {
-    ImuNoise { gyro_psd: Vector3::new(1e-9, 2e-9, 3e-9), accel_psd: Vector3::new(1e-6, 2e-6, 4e-6) }
-}
-
-fn real_transition(layout: &Layout<CAP>, dt_s: f64, order: Order) -> Transition<CAP> {
-    common::transition(&dynamics(), layout, &noise(), &W_B, &F_B, dt_s, order)
-}
 
 /// A transition of random numbers with a random noise.
 fn random_transition(layout: &Layout<CAP>, rng: &mut Rng) -> Transition<CAP> {

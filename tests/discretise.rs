@@ -2,35 +2,13 @@
 
 mod common;
 
-use common::{block, blocks, dense, dense_transition, expm, markov, settings, solution, walk};
+use common::linearised::{CAP, F_B, ORDERS, W_B, dynamics, noise, real_transition};
+use common::{block, blocks, dense, dense_transition, expm, markov, walk};
 use gnssins::blocks::{Block, BlockKind, Process};
 use gnssins::cov::Covariance;
-use gnssins::discretise::{ImuNoise, Order, Transition};
+use gnssins::discretise::Order;
 use gnssins::layout::Layout;
-use gnssins::nav::ned::Ned;
-use gnssins::nav::{Dynamics, NavModel, Solution};
 use nalgebra::{DMatrix, Matrix3, Vector3};
-
-const CAP: usize = 40;
-const W_B: Vector3<f64> = Vector3::new(0.3, -0.2, 0.5);
-const F_B: Vector3<f64> = Vector3::new(1.0, -3.0, -10.0);
-const ORDERS: [Order; 3] = [Order::First, Order::Second, Order::Third];
-
-fn somewhere() -> Solution {
-    solution([-40.0, 120.0, 2000.0], [-120.0, 150.0, 30.0], [25.0, -35.0, 160.0])
-}
-
-fn dynamics() -> Dynamics {
-    Ned::new(settings().earth, &somewhere()).unwrap().dynamics(&F_B)
-}
-
-fn noise() -> ImuNoise {
-    ImuNoise { gyro_psd: Vector3::new(1e-9, 2e-9, 3e-9), accel_psd: Vector3::new(1e-6, 2e-6, 4e-6) }
-}
-
-fn real_transition(layout: &Layout<CAP>, dt_s: f64, order: Order) -> Transition<CAP> {
-    common::transition(&dynamics(), layout, &noise(), &W_B, &F_B, dt_s, order)
-}
 
 /// The whole system matrix of nine errors and blocks, with the decays on its diagonal.
 fn system_matrix(blocks: &[Block], states: usize) -> DMatrix<f64> {

@@ -3,6 +3,7 @@
 #![allow(dead_code)]
 
 pub mod equations;
+pub mod linearised;
 
 use gnssins::attitude;
 use gnssins::blocks::{BLOCK_MAX, Block, BlockKind, Process};

@@ -24,7 +24,7 @@ from gnssins.plots import observability as observability_figure
 from gnssins.plots import style
 from gnssins.plots.style import BAND, COLORS
 from gnssins.reproduce.al_bitar_published import PUBLISHED_TABLE, TIMES_S
-from gnssins.reproduce.al_bitar_runs import Drive, Plan, truth_of
+from gnssins.reproduce.al_bitar_runs import Drive, Plan
 from gnssins.reproduce.al_bitar_tables import WINDOW_S, Manoeuvre
 from gnssins.result import Result
 from gnssins.runner import run
@@ -70,7 +70,7 @@ def show(plan: Plan, simulator: Simulator, seed: int) -> Shown:
         simulated=simulated,
         whole=run(plan.config(False), simulated),
         gaps=gaps,
-        errors=compare(gaps, truth_of(simulated)),
+        errors=compare(gaps, simulated.truth),
         observability=observability(
             run(plan.one_bias(False, linearise=True), plan.faultless().run(run_seed(seed, 0)))
         ),
@@ -108,7 +108,7 @@ def _biases(plan: Plan, drive: Drive, shown: Shown) -> Figure:
     )
     blocks, result = shown.simulated.truth_blocks, shown.whole
     t_s = np.array(plan.epochs)
-    t_true = truth_of(shown.simulated).t_ns / NS_PER_S
+    t_true = shown.simulated.truth.t_ns / NS_PER_S
     names = [state.name for state in result.block_states]
     for column, (sensor, unit, factor) in enumerate(
         (("gyro", "deg/h", GYRO_BIAS["deg/h"]), ("accel", "mg", ACCEL_BIAS["mg"]))
@@ -220,7 +220,7 @@ def _distance(plan: Plan, found: Ensemble, windows: Windows, title: str, *, log:
 
 def _route(plan: Plan, shown: Shown) -> Figure:
     """Route seen from above, and what the filter makes of the gaps."""
-    truth, result = truth_of(shown.simulated), shown.gaps
+    truth, result = shown.simulated.truth, shown.gaps
     figure = Figure(figsize=(8.0, 6.0), layout="constrained", facecolor="white")
     ax = figure.subplots()
     style.tidy(ax)

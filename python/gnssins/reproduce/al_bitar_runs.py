@@ -43,7 +43,6 @@ __all__ = [
     "growths",
     "sums_of",
     "together",
-    "truth_of",
 ]
 
 Array = NDArray[np.float64]
@@ -341,7 +340,7 @@ def drive(plan: Plan, simulators: Simulators, seed: int, index: int) -> Drive:
 
 def coast(plan: Plan, result: Result, simulated: Simulated) -> Coasted:
     """Growth of the errors in the gaps, and NEES where they end."""
-    truth = truth_of(simulated)
+    truth = simulated.truth
     growth = outage_growth(result, truth, plan.gaps, at_s=plan.at_s, reference="the truth")
     found = error_states(result, truth, Parameters.of(simulated))
     rows = np.searchsorted(found.t_ns, np.rint(np.array(plan.gap_ends) * NS_PER_S).astype(np.int64))
@@ -350,7 +349,7 @@ def coast(plan: Plan, result: Result, simulated: Simulated) -> Coasted:
 
 def sums_of(result: Result, simulated: Simulated, epochs: Sequence[float]) -> Sums:
     """Errors of the sums of walk and Markov error at covariance snapshots."""
-    found = error_states(result, truth_of(simulated), Parameters.of(simulated))
+    found = error_states(result, simulated.truth, Parameters.of(simulated))
     rows = np.searchsorted(found.t_ns, np.rint(np.asarray(epochs) * NS_PER_S).astype(np.int64))
     x, p = -found.x[rows], found.matrix[rows]
     error, variance = [], []
@@ -367,14 +366,6 @@ def _first_nis(result: Result, plan: Plan) -> Array:
     seen = records.is_status("used", "rejected")
     first = [np.flatnonzero(seen & (records.t_ns > round(end * NS_PER_S)))[0] for end in plan.gap_ends]
     return np.asarray(records.nis[np.asarray(first)])
-
-
-def truth_of(simulated: Simulated) -> TruthTable:
-    """True motion of a simulated drive."""
-    truth = simulated.dataset.truth
-    if truth is None:
-        raise TypeError("the simulated drive has no truth")
-    return truth
 
 
 def growths(drives: Sequence[Drive]) -> dict[str, OutageGrowth]:

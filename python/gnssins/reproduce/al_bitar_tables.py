@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 
 from gnssins.analysis import Ensemble, Observability, OutageGrowth, chi_square_bounds
 from gnssins.analysis.consistency import direction
+from gnssins.reproduce import consistency
 from gnssins.reproduce.al_bitar_published import LABELS, PUBLISHED_TABLE, REFERENCE_R1, REFERENCE_R2, TIMES_S
 from gnssins.reproduce.al_bitar_runs import Drive, Plan
+from gnssins.reproduce.consistency import chi_square_row, nees_over
 from gnssins.reproduce.report import Cell, Table
 from gnssins.tables import table_unit
 from gnssins.units import ACCEL_BIAS, DEG_TO_RAD, GYRO_BIAS
@@ -197,37 +200,22 @@ def _some(plan: Plan) -> tuple[float, ...]:
 
 def mean_nees(plan: Plan, found: Ensemble, group: str) -> tuple[float, int, tuple[float, float]]:
     """Mean over runs and the steady state, every ten seconds; degrees of freedom; 99 % bounds of one epoch."""
-    rows = [found.at(t) for t in plan.epochs if t >= plan.after_s and t % 10.0 == 0.0]
-    dof = found.dof[group]
-    values = found.nees_values[group][:, rows]
-    return float(values.mean()), dof, chi_square_bounds(dof, found.runs, found.probability)
+    return nees_over(found, group, _steady_rows(plan, found))
+
+
+def _steady_rows(plan: Plan, found: Ensemble) -> list[int]:
+    return [found.at(t) for t in plan.epochs if t >= plan.after_s and t % 10.0 == 0.0]
 
 
 def consistency_table(plan: Plan, whole: Ensemble, gaps: Ensemble, drives: Sequence[Drive]) -> Table:
     """NEES by group and NIS, with GNSS throughout and with gaps."""
-    rows: list[list[Cell]] = []
-    for variant, found in (("throughout", whole), ("gaps", gaps)):
-        for group in found.nees_values:
-            mean, dof, bounds = mean_nees(plan, found, group)
-            rows.append([variant, f"NEES {group}", dof, mean, *bounds, direction(mean, dof, bounds)])
-        for name in ("gnss, 6 components", "position", "velocity"):
-            part = found.nis[name]
-            rows.append([variant, f"NIS {name}", part.dof, part.mean, *part.bounds, part.verdict])
-    mean = gap_nees(drives, "published")
-    bounds = chi_square_bounds(9, len(drives) * len(plan.gaps), 0.99)
-    rows.append(["gaps", "NEES navigation, ends of the gaps", 9, mean, *bounds, direction(mean, 9, bounds)])
+    ends = gap_nees(drives, "published")
     first = np.array([d.first_nis for d in drives])
-    bounds = chi_square_bounds(6, first.size, 0.99)
-    mean = float(first.mean())
-    rows.append(["gaps", "NIS first fix after a gap", 6, mean, *bounds, direction(mean, 6, bounds)])
-    return Table(
-        "consistency",
-        f"NEES and NIS for t > {plan.after_s:g} s, means of {whole.runs} runs",
-        ["GNSS", "what", "expected", "mean", "99 % from", "to", "the filter is"],
-        rows,
-        "NEES: bounds of one epoch, which the mean over correlated epochs keeps all the more; NIS: bounds of the mean "
-        "of all fixes.",
-    )
+    more = [
+        chi_square_row("NEES navigation, ends of the gaps", 9, ends, len(drives) * len(plan.gaps)),
+        chi_square_row("NIS first fix after a gap", 6, float(first.mean()), first.size),
+    ]
+    return consistency.consistency_table(whole, gaps, plan.after_s, partial(_steady_rows, plan), more)
 
 
 # ---- biases

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gnssins.analysis import Ensemble, chi_square_bounds
-from gnssins.analysis.consistency import direction
+from gnssins.analysis import Ensemble
+from gnssins.reproduce import consistency
+from gnssins.reproduce.consistency import chi_square_row, nees_over
 from gnssins.reproduce.fomichev_tan_runs import READINGS, Flight, Plan, Realisation
 from gnssins.reproduce.report import Cell, Table
 from gnssins.tables import table_unit
@@ -47,9 +49,7 @@ def _grid_rows(plan: Plan, found: Ensemble) -> list[int]:
 
 def mean_nees(plan: Plan, found: Ensemble, group: str) -> tuple[float, int, tuple[float, float]]:
     """Mean over the runs and the grid, degrees of freedom, 99 % bounds of one epoch."""
-    values = found.nees_values[group][:, _grid_rows(plan, found)]
-    dof = found.dof[group]
-    return float(values.mean()), dof, chi_square_bounds(dof, found.runs, found.probability)
+    return nees_over(found, group, _grid_rows(plan, found))
 
 
 def gap_end(plan: Plan, found: Ensemble, gap: int) -> int:
@@ -198,23 +198,6 @@ def reading_table(plan: Plan, readings: Mapping[str, Ensemble]) -> Table:
 
 def consistency_table(plan: Plan, whole: Ensemble, gaps: Ensemble, flights: Sequence[Flight]) -> Table:
     """NEES by group and NIS, both variants, with chi-square bounds and verdicts."""
-    rows: list[list[Cell]] = []
-    for variant, found in (("throughout", whole), ("gaps", gaps)):
-        for group in found.nees_values:
-            mean, dof, bounds = mean_nees(plan, found, group)
-            rows.append([variant, f"NEES {group}", dof, mean, *bounds, direction(mean, dof, bounds)])
-        for name in ("gnss, 6 components", "position", "velocity"):
-            part = found.nis[name]
-            rows.append([variant, f"NIS {name}", part.dof, part.mean, *part.bounds, part.verdict])
     first = np.array([flight.first_nis for flight in flights])
-    bounds = chi_square_bounds(6, first.size, 0.99)
-    mean = float(first.mean())
-    rows.append(["gaps", "NIS first fix after a gap", 6, mean, *bounds, direction(mean, 6, bounds)])
-    return Table(
-        "consistency",
-        f"NEES and NIS for t > {plan.after_s:.0f} s, means of {whole.runs} runs",
-        ["GNSS", "what", "expected", "mean", "99 % from", "to", "the filter is"],
-        rows,
-        "NEES: bounds of one epoch, which the mean over correlated epochs keeps all the more; NIS: bounds of the mean "
-        "of all fixes.",
-    )
+    more = [chi_square_row("NIS first fix after a gap", 6, float(first.mean()), first.size)]
+    return consistency.consistency_table(whole, gaps, plan.after_s, partial(_grid_rows, plan), more)

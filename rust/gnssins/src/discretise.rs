@@ -46,6 +46,12 @@ pub struct ImuNoise {
     pub accel_psd: Vector3<f64>,
 }
 
+impl ImuNoise {
+    /// No noise.
+    pub const NONE: Self =
+        Self { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };
+}
+
 /// Transition and noise of the block states over one interval length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockStep<const CAP: usize> {

@@ -165,7 +165,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// # Errors
     /// [`Error::TimeBackwards`] unless `t_ns` lies after the filter's time; what [`NavModel::step`] refuses.
     pub fn predict(&mut self, t_ns: i64, dtheta: &Vector3<f64>, dvel: &Vector3<f64>) -> Result<(), Error> {
-        self.predict_with(t_ns, dtheta, dvel, &NO_NOISE, &mut |_| {})
+        self.predict_with(t_ns, dtheta, dvel, &ImuNoise::NONE, &mut |_| {})
     }
 
     /// As [`Ekf::predict`], with noise densities added for this interval; shows its transition to `seen`.
@@ -195,7 +195,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// # Errors
     /// As [`Ekf::predict`].
     pub fn predict_rates(&mut self, t_ns: i64, start: &Rates, end: &Rates) -> Result<(), Error> {
-        self.predict_rates_with(t_ns, start, end, &NO_NOISE, &mut |_| {})
+        self.predict_rates_with(t_ns, start, end, &ImuNoise::NONE, &mut |_| {})
     }
 
     /// As [`Ekf::predict_rates`], with noise densities added for this interval; shows its transition to `seen`.
@@ -523,9 +523,6 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
 
 /// Position sigma at which a solution is none, m: far below where the covariance loses its digits.
 const UNKNOWN_M: f64 = 1e6;
-
-const NO_NOISE: ImuNoise =
-    ImuNoise { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };
 
 /// Transition of one interval and the covariance through it.
 struct Propagate<'a, const CAP: usize> {

@@ -208,7 +208,7 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
                     start,
                     end: rates,
                     increments,
-                    extra: NO_NOISE,
+                    extra: ImuNoise::NONE,
                     step_ns: i64::MAX,
                 };
                 self.run(&interval, sink)?;
@@ -397,7 +397,7 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
             start: *end,
             end: *end,
             increments: None,
-            extra: NO_NOISE,
+            extra: ImuNoise::NONE,
             step_ns: i64::MAX,
         };
         self.run(&own, sink)
@@ -541,9 +541,6 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
         self.pending[self.waiting].take()
     }
 }
-
-const NO_NOISE: ImuNoise =
-    ImuNoise { gyro_psd: Vector3::new(0.0, 0.0, 0.0), accel_psd: Vector3::new(0.0, 0.0, 0.0) };
 
 fn seconds(later_ns: i64, earlier_ns: i64) -> f64 {
     later_ns.saturating_sub(earlier_ns) as f64 / 1e9

@@ -105,6 +105,12 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         self.model.set_attitude_form(form)
     }
 
+    /// Runs the kernels of this filter on a given set of instructions; the widest of the machine is the default, and what it
+    /// lacks falls back.
+    pub fn set_isa(&mut self, isa: Isa) {
+        self.isa = isa.available();
+    }
+
     /// Time of the state, ns.
     #[must_use]
     pub const fn t_ns(&self) -> i64 {

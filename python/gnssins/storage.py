@@ -32,7 +32,7 @@ from gnssins import tables
 from gnssins.errors import InputError, MissingFileError
 from gnssins.outputs import RESULT_FILES, make_folder, refuse_inputs
 from gnssins.tables import State
-from gnssins.units import NS_PER_S
+from gnssins.units import times_to_ns
 
 if TYPE_CHECKING:
     from gnssins.result import AidRecords, Event, Records, Result
@@ -131,7 +131,7 @@ def load(folder: str | Path) -> Result:
     rpy[:, 2] = tables.wrap_pi(rpy[:, 2])
     covariance = _read(source / "covariance.parquet", pl.read_parquet)
     return Result(
-        t_ns=_nanoseconds(table[:, 0]),
+        t_ns=times_to_ns(table[:, 0]),
         lla=np.column_stack([np.radians(table[:, 1:3]), table[:, 3]]),
         v_n=table[:, 4:7].copy(),
         rpy=rpy,
@@ -196,12 +196,6 @@ def _columns(source: Path, table: pl.DataFrame, names: list[str]) -> NDArray[np.
     return np.ascontiguousarray(table.select(names).to_numpy())
 
 
-def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Nanoseconds of times in seconds, whole seconds and fraction apart to keep all digits."""
-    whole = np.floor(time_s)
-    return whole.astype(np.int64) * NS_PER_S + np.rint((time_s - whole) * NS_PER_S).astype(np.int64)
-
-
 def _quaternions(rpy: NDArray[np.float64]) -> NDArray[np.float64]:
     from gnssins import _core
 
@@ -215,7 +209,7 @@ def _load_records(source: Path) -> Records:
     fix = table.select(tables.NAVIGATION_COLUMNS[1:7]).to_numpy()
     return Records(
         row=table["row"].to_numpy(),
-        t_ns=_nanoseconds(table["time_s"].to_numpy()),
+        t_ns=times_to_ns(table["time_s"].to_numpy()),
         status=np.array([STATUS.index(name) for name in table["status"]], dtype=np.uint8),
         dof=table["dof"].to_numpy(),
         nis=table["nis"].to_numpy(),
@@ -246,7 +240,7 @@ def _load_aids(source: Path) -> dict[str, AidRecords]:
         factor, _ = tables.AID_UNITS[str(name)]
         aids[str(name)] = AidRecords(
             row=table["row"].to_numpy(),
-            t_ns=_nanoseconds(table["time_s"].to_numpy()),
+            t_ns=times_to_ns(table["time_s"].to_numpy()),
             status=np.array([STATUS.index(status) for status in table["status"]], dtype=np.uint8),
             nis=table["nis"].to_numpy(),
             innovation=table["innovation"].to_numpy() / factor,
@@ -262,6 +256,6 @@ def _load_events(source: Path) -> tuple[Event, ...]:
     table = _read(source / "events.csv", lambda path: pl.read_csv(path, schema_overrides=tables.EVENT_SCHEMA))
     if "value" not in table.columns:  # written before events had numbers
         table = table.with_columns(value=pl.lit(None, pl.Float64))
-    times = _nanoseconds(table["time_s"].to_numpy())
+    times = times_to_ns(table["time_s"].to_numpy())
     rows = zip(times, *(table[name] for name in ("code", "row", "message", "value")), strict=True)
     return tuple(Event(int(t), code, row, message, value) for t, code, row, message, value in rows)

@@ -75,7 +75,7 @@ class ImuTable(Timed):
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], gyro=self.gyro[rows], accel=self.accel[rows])
+        return self._with(t_ns=self.t_ns[rows], gyro=self.gyro[rows], accel=self.accel[rows])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,8 +152,7 @@ class GnssTable(Timed):
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
         changed = None if self.new_constellation is None else self.new_constellation[rows]
-        return replace(
-            self,
+        return self._with(
             t_ns=self.t_ns[rows],
             lla=self.lla[rows],
             v_n=self.v_n[rows],
@@ -201,7 +200,7 @@ class BaroTable(Timed):
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], height_m=self.height_m[rows], var=self.var[rows])
+        return self._with(t_ns=self.t_ns[rows], height_m=self.height_m[rows], var=self.var[rows])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,7 +242,7 @@ class HeadingTable(Timed):
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], heading_rad=self.heading_rad[rows], var=self.var[rows])
+        return self._with(t_ns=self.t_ns[rows], heading_rad=self.heading_rad[rows], var=self.var[rows])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -288,7 +287,7 @@ class TruthTable(Timed):
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
         q_nb = None if self.q_nb is None else self.q_nb[rows]
-        return replace(self, t_ns=self.t_ns[rows], lla=self.lla[rows], v_n=self.v_n[rows], q_nb=q_nb)
+        return self._with(t_ns=self.t_ns[rows], lla=self.lla[rows], v_n=self.v_n[rows], q_nb=q_nb)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import platform
 import time
 import warnings
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -105,12 +106,14 @@ def run(
         cut = cut_tables(config, dataset, engine)
         refuse_outside(config, start.t_ns, int(cut.imu.t_ns[-1]))
         prepared = time.perf_counter()
-        columns = call_core(engine, config, cut, progress)
+        with ThreadPoolExecutor(max_workers=1) as beside:  # neither digests nor the core need the GIL
+            inputs = beside.submit(_inputs, dataset)
+            columns = call_core(engine, config, cut, progress)
     except GnssinsError as error:
         _attach(error, findings, repeat=told is None)
         raise
     times = {"prepare_s": prepared - clock, "filter_s": time.perf_counter() - prepared}
-    metadata = _metadata(config, dataset, engine, findings, times)
+    metadata = _metadata(config, dataset.meta, inputs.result(), engine, findings, times)
     if config_file is not None:
         metadata["run"]["config_file"] = str(Path(config_file).resolve())
     return collect(columns, dataset, cut, metadata)
@@ -160,7 +163,8 @@ def as_initial(initial: Start) -> InitialState:
 
 def _metadata(
     config: Config,
-    dataset: Dataset,
+    known: Mapping[str, Any],
+    inputs: list[dict[str, Any]],
     engine: dict[str, Any],
     findings: list[Finding],
     times: dict[str, float],
@@ -168,7 +172,7 @@ def _metadata(
     """What ``run.toml`` keeps beside counts and states."""
     windows = [[round(t * NS_PER_S) for t in pair] for pair in config.run.outages]
     about: dict[str, Any] = {"created": datetime.now(UTC).isoformat(timespec="seconds")}
-    about |= {key: dataset.meta[key] for key in ("scenario", "variant", "seed") if key in dataset.meta}
+    about |= {key: known[key] for key in ("scenario", "variant", "seed") if key in known}
     about |= {key: round(value, 4) for key, value in times.items()}
     return {
         "run": about,
@@ -177,7 +181,7 @@ def _metadata(
         "model": engine["model"],
         "lever_ba_b_m": engine["gnss"]["lever_b_m"],
         "outages_ns": windows,
-        "input": _inputs(dataset),
+        "input": inputs,
         "finding": _listed(findings),
         "config": config.to_dict(),
         "engine": {"json": json.dumps(engine)},

@@ -70,6 +70,17 @@ class ImuTable(Timed):
         store(self, gyro=floats(self.gyro, (t_ns.size, 3), "imu", "gyro"))
         store(self, accel=floats(self.accel, (t_ns.size, 3), "imu", "accel"))
 
+    @classmethod
+    def empty(cls, kind: ImuKind = "rates") -> ImuTable:
+        """Return a table without rows."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), kind)
+
+    @classmethod
+    def joined(cls, one: ImuTable, other: ImuTable) -> ImuTable:
+        """Return the rows of two tables of the same kind, one after the other."""
+        columns = ((one.t_ns, other.t_ns), (one.gyro, other.gyro), (one.accel, other.accel))
+        return cls(*(np.concatenate(pair) for pair in columns), one.kind)
+
     def __repr__(self) -> str:
         return f"ImuTable({self.span()}, {self.kind})"
 

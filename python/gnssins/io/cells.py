@@ -58,7 +58,7 @@ def numbers(
             _judge(table, name, bad & ~out, "number")
             out |= bad
     table.count("no time stamp", int(no_time.sum()))
-    if out.all():
+    if out.all() and not table.piece:
         raise InputError(
             "input.no_rows",
             f"{table.path}: none of the {table.rows} rows can be used ({_reasons(table)})",

@@ -6,6 +6,7 @@ that are missing or not finite are passed on as they are: the engine judges them
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..dataset import BaroTable, GnssTable, HeadingTable, ImuTable, Source, Trut
 from ..errors import ConfigError, InputError
 from ..units import DEG_TO_RAD
 from .cells import numbers
-from .text import TextTable, read_text
+from .text import TextTable, read_text, text_pieces
 
 Array = NDArray[np.float64]
 
@@ -56,23 +57,47 @@ class CsvFormat:
             File, column, row or cell that cannot be read; see :mod:`gnssins.io.text` and
             :mod:`gnssins.io.cells`.
         """
-        values = (*config.gyro_columns, *config.accel_columns)
         text = read_text(
             path,
             section="imu",
-            required=(config.time_column, *values),
+            required=_imu_columns(config),
             separator=config.separator,
             skip_bad=config.on_bad_row == "skip",
         )
-        t_ns, columns = numbers(text, config.time_column, config.time_unit, values, config.missing)
-        to_frd = axes_matrix(config.axes)
-        gyro = _turn(_stack(columns, config.gyro_columns) * config.gyro_factor(), to_frd)
-        accel = _turn(_stack(columns, config.accel_columns) * config.accel_factor(), to_frd)
-        late = int((t_ns < np.maximum.accumulate(t_ns)).sum())
-        sort = config.on_backwards == "sort" and late > 0
-        order = np.argsort(t_ns, kind="stable") if sort else slice(None)
-        table = ImuTable(t_ns[order], gyro[order], accel[order], config.kind)
-        return table, _source(text, late if sort else 0)
+        table = _imu_table(text, config)
+        late = int((table.t_ns < np.maximum.accumulate(table.t_ns)).sum())
+        if config.on_backwards != "sort" or not late:
+            return table, _source(text)
+        return table.select(np.argsort(table.t_ns, kind="stable")), _source(text, late)
+
+    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[tuple[ImuTable, Source]]:
+        """Read an IMU log in pieces of so many rows, in the order of the file.
+
+        Parameters
+        ----------
+        path, config
+            As for :meth:`read_imu`; nothing is sorted here.
+        rows : int
+            Rows of a piece.
+
+        Yields
+        ------
+        table : ImuTable
+            The next rows; may be empty where all were skipped.
+        source : Source
+            Row counts of the piece, without the digest of the file.
+        """
+        pieces = text_pieces(
+            path,
+            rows,
+            section="imu",
+            required=_imu_columns(config),
+            separator=config.separator,
+            skip_bad=config.on_bad_row == "skip",
+        )
+        for text in pieces:
+            table = _imu_table(text, config)  # counts what it skips
+            yield table, _source(text)
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
         """Read a GNSS log into radians, metres and north-east-down.
@@ -232,6 +257,20 @@ class CsvFormat:
         lla = _stack(columns, _TRUTH_POSITION, t_ns.size) * [DEG_TO_RAD, DEG_TO_RAD, 1.0]
         v_n = _stack(columns, _TRUTH_VELOCITY, t_ns.size)
         return TruthTable(t_ns, lla, v_n, _attitude(columns, t_ns.size)), _source(text)
+
+
+def _imu_columns(config: ImuConfig) -> tuple[str, ...]:
+    return (config.time_column, *config.gyro_columns, *config.accel_columns)
+
+
+def _imu_table(text: TextTable, config: ImuConfig) -> ImuTable:
+    """Cells to SI units and forward-right-down axes."""
+    values = _imu_columns(config)[1:]
+    t_ns, columns = numbers(text, config.time_column, config.time_unit, values, config.missing)
+    to_frd = axes_matrix(config.axes)
+    gyro = _turn(_stack(columns, config.gyro_columns) * config.gyro_factor(), to_frd)
+    accel = _turn(_stack(columns, config.accel_columns) * config.accel_factor(), to_frd)
+    return ImuTable(t_ns, gyro, accel, config.kind)
 
 
 def _one_value(

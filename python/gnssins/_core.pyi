@@ -248,6 +248,9 @@ class Run:
         baro: tuple[_I, _F, _F] | None = None,
         heading: tuple[_I, _F, _F] | None = None,
     ) -> Run: ...
+    def states(self) -> list[_State]:
+        """Name, unit, block and kind of every error state."""
+
     def imu(self, t_ns: _I, gyro: _F, accel: _F) -> _Columns:
         """Take the next rows of the IMU log; return the epochs and covariances that they give."""
 

@@ -24,6 +24,7 @@ __all__ = [
     "GnssTable",
     "HeadingTable",
     "ImuKind",
+    "ImuPiece",
     "ImuTable",
     "Rows",
     "Source",
@@ -329,6 +330,25 @@ class Source:
     def rows_skipped(self) -> int:
         """All skipped rows."""
         return sum(self.skipped.values())
+
+
+@dataclass(frozen=True)
+class ImuPiece:
+    """Some rows of an IMU log.
+
+    Attributes
+    ----------
+    table : ImuTable
+        The rows.
+    source : Source
+        Counts of these rows, without the digest of the file.
+    share : float
+        Share of the file that is read, 0 to 1.
+    """
+
+    table: ImuTable
+    source: Source
+    share: float
 
 
 @dataclass(frozen=True, eq=False)

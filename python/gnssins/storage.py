@@ -37,7 +37,7 @@ from gnssins.units import times_to_ns
 if TYPE_CHECKING:
     from gnssins.result import AidRecords, Event, Records, Result
 
-__all__ = ["FORMAT", "load", "save", "write_atomic"]
+__all__ = ["FORMAT", "covariance_table", "load", "save", "save_with", "write_atomic"]
 
 #: Version of the layout of the folder.
 FORMAT: Final = 1
@@ -67,24 +67,37 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
 
 def save(result: Result, folder: str | Path) -> Path:
     """Write ``result`` into ``folder``; ``run.toml`` goes first when it is there and comes last when all is written."""
+    return save_with(
+        result,
+        folder,
+        lambda path: result.navigation.write_parquet(path),
+        lambda path: covariance_table(result).write_parquet(path),
+    )
+
+
+def save_with(
+    result: Result, folder: str | Path, navigation: Callable[[Path], object], covariance: Callable[[Path], object]
+) -> Path:
+    """Write ``result`` as :func:`save` does, the two tables over time by functions that fill a file."""
     target = Path(folder)
     inputs = [entry.get("file") for entry in result.metadata.get("input", [])]
     inputs.append(result.metadata.get("run", {}).get("config_file"))
     refuse_inputs([target / name for name in RESULT_FILES], inputs)
     make_folder(target)
     (target / RUN_FILE).unlink(missing_ok=True)
-    write_atomic(target / "navigation.parquet", result.navigation.write_parquet)
+    write_atomic(target / "navigation.parquet", navigation)
     write_atomic(target / "measurements.parquet", result.measurements.write_parquet)
     write_atomic(target / "aids.parquet", result.aid_measurements.write_parquet)
     write_atomic(target / "events.csv", result.events.write_csv)
-    write_atomic(target / "covariance.parquet", _covariance_table(result).write_parquet)
+    write_atomic(target / "covariance.parquet", covariance)
     write_atomic(target / "state.bin", lambda path: path.write_bytes(result.final_state))
     text = tomlkit.dumps(_run_document(result))
     write_atomic(target / RUN_FILE, lambda path: path.write_text(text, encoding="utf-8"))
     return target
 
 
-def _covariance_table(result: Result) -> pl.DataFrame:
+def covariance_table(result: Result) -> pl.DataFrame:
+    """Snapshots of the covariance as a table."""
     n = len(result.states)
     flat = np.ascontiguousarray(result.covariance.matrix.reshape(-1, n * n))
     column = pl.Series(flat, dtype=pl.Array(pl.Float64, n * n))

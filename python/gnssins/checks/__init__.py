@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from ..config import Config
@@ -16,7 +18,7 @@ from .imu import check_imu
 from .look import ImuLook
 from .timing import check_overlap, check_times
 
-__all__ = ["LEVELS", "Finding", "ImuLook", "Level", "check_dataset", "judge", "raise_on_stop"]
+__all__ = ["LEVELS", "WHOLE", "Finding", "ImuLook", "Level", "check_dataset", "judge", "raise_on_stop"]
 
 
 def check_dataset(dataset: Dataset, config: Config | None = None) -> list[Finding]:
@@ -40,7 +42,13 @@ def check_dataset(dataset: Dataset, config: Config | None = None) -> list[Findin
     return judge(look, dataset, config)
 
 
-def judge(look: ImuLook, dataset: Dataset, config: Config | None = None) -> list[Finding]:
+#: Findings that need the whole IMU log.
+WHOLE: Final = ("time.no_overlap", "time.start_outside", "data.imu_bad")
+
+
+def judge(
+    look: ImuLook, dataset: Dataset, config: Config | None = None, *, whole: bool = True
+) -> list[Finding]:
     """Findings about a data set whose IMU log a look has taken, whole or in part.
 
     Parameters
@@ -51,6 +59,8 @@ def judge(look: ImuLook, dataset: Dataset, config: Config | None = None) -> list
         Everything else; its IMU table is not looked at.
     config : Config, optional
         As for :func:`check_dataset`.
+    whole : bool, optional
+        Whether the look has taken the whole log; of a part, :data:`WHOLE` is not told.
 
     Returns
     -------
@@ -71,7 +81,8 @@ def judge(look: ImuLook, dataset: Dataset, config: Config | None = None) -> list
         ]
     if span_ns is None:
         findings.append(Finding("stop", "data.imu_empty", "imu: no rows", "check [imu] file"))
-    return sorted(findings, key=lambda finding: LEVELS.index(finding.level))
+    told = [finding for finding in findings if whole or finding.code not in WHOLE]
+    return sorted(told, key=lambda finding: LEVELS.index(finding.level))
 
 
 def _skipped(dataset: Dataset) -> list[Finding]:

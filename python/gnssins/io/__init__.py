@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ..config import BaroConfig, Config, GnssConfig, HeadingConfig, ImuConfig, TruthConfig
-from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuTable, Source, TruthTable
+from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuPiece, ImuTable, Source, TruthTable
 from ..errors import ConfigError, InputError
 from .csv import CsvFormat
 from .csv_writer import write_baro, write_gnss, write_heading, write_imu, write_truth
@@ -46,7 +46,7 @@ class Format(Protocol):
     def read_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
         """Read inertial samples."""
 
-    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[tuple[ImuTable, Source]]:
+    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[ImuPiece]:
         """Read inertial samples in pieces of so many rows."""
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..config import BaroConfig, GnssConfig, HeadingConfig, ImuConfig, TruthConfig, axes_matrix
-from ..dataset import BaroTable, GnssTable, HeadingTable, ImuTable, Source, TruthTable
+from ..dataset import BaroTable, GnssTable, HeadingTable, ImuPiece, ImuTable, Source, TruthTable
 from ..errors import ConfigError, InputError
 from ..units import DEG_TO_RAD
 from .cells import numbers
@@ -70,7 +70,7 @@ class CsvFormat:
             return table, _source(text)
         return table.select(np.argsort(table.t_ns, kind="stable")), _source(text, late)
 
-    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[tuple[ImuTable, Source]]:
+    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[ImuPiece]:
         """Read an IMU log in pieces of so many rows, in the order of the file.
 
         Parameters
@@ -82,10 +82,8 @@ class CsvFormat:
 
         Yields
         ------
-        table : ImuTable
-            The next rows; may be empty where all were skipped.
-        source : Source
-            Row counts of the piece, without the digest of the file.
+        ImuPiece
+            The next rows; none where all were skipped.
         """
         pieces = text_pieces(
             path,
@@ -97,7 +95,7 @@ class CsvFormat:
         )
         for text in pieces:
             table = _imu_table(text, config)  # counts what it skips
-            yield table, _source(text)
+            yield ImuPiece(table, _source(text), text.share)
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
         """Read a GNSS log into radians, metres and north-east-down.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import gzip
 import hashlib
+import os
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -69,7 +70,7 @@ def read_raw(path: Path, *, section: str, accept_cut: bool = False) -> RawText:
 
 def read_pieces(
     path: Path, *, section: str, lines: int, accept_cut: bool = False
-) -> Iterator[tuple[bytes, bool]]:
+) -> Iterator[tuple[bytes, bool, float]]:
     """Read a text file, plain or gzip, in pieces of so many lines: the memory needed is that of a piece.
 
     Parameters
@@ -85,6 +86,8 @@ def read_pieces(
         UTF-8 text with line feeds.
     cut : bool
         The compressed data ended early here and the rest was accepted as lost.
+    share : float
+        Share of the file that is read, 0 to 1.
 
     Raises
     ------
@@ -94,6 +97,7 @@ def read_pieces(
     total, empty = 0, True
     with _open(path, section) as file:
         packed = file.read(2) == _GZIP
+        size = file.seek(0, os.SEEK_END)
         file.seek(0)
         source = gzip.GzipFile(fileobj=file) if packed else file
         while True:
@@ -113,7 +117,7 @@ def read_pieces(
             empty = empty and not data.strip()
             total += len(piece)
             if data:
-                yield _as_lines(data), cut
+                yield _as_lines(data), cut, file.tell() / size
             if cut or len(piece) < lines:
                 break
     if empty:

@@ -47,6 +47,8 @@ class TextTable:
         Rows left out so far, by reason.
     piece : bool
         The table is a piece of a file: other pieces have rows too.
+    share : float
+        Share of the file that is read.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class TextTable:
     line: Integers
     skipped: dict[str, int] = field(default_factory=dict)
     piece: bool = False
+    share: float = 1.0
 
     def where(self, index: int) -> str:
         """Name a table row the way a user finds it: file, row, line."""
@@ -142,7 +145,7 @@ def text_pieces(
         The next rows, numbered as in the file.
     """
     layout, seen, line = None, 0, 0
-    for data, cut in read_pieces(path, section=section, lines=rows, accept_cut=skip_bad):
+    for data, cut, share in read_pieces(path, section=section, lines=rows, accept_cut=skip_bad):
         body, lines = data, data.count(b"\n")
         if layout is None:
             head, body, lead = _take_header(data)
@@ -154,7 +157,7 @@ def text_pieces(
         else:
             table = layout.table(body, seen, line, cut=cut)
         line, seen = line + lines, seen + table.rows
-        table.piece = True
+        table.piece, table.share = True, share
         if table.rows:
             yield table
     if not seen:

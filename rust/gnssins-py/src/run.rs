@@ -180,6 +180,11 @@ impl Run {
         Ok(Self(Job::new(py, &EngineConfig::parse(py, config_json)?, aids)?))
     }
 
+    /// Name, unit, block and kind of every error state.
+    fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        state_list(py, &self.0.states)
+    }
+
     /// Takes the next rows of the IMU log; the columns of the result that they give.
     fn imu<'py>(
         &mut self,

@@ -77,6 +77,11 @@ class ImuTable(Timed):
         return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), kind)
 
     @classmethod
+    def of_own(cls, t_ns: Times, gyro: Array, accel: Array, kind: ImuKind) -> ImuTable:
+        """Return a table of arrays that nobody else holds, of the right shapes and types: without a copy."""
+        return cls.empty(kind)._with(t_ns=t_ns, gyro=gyro, accel=accel)
+
+    @classmethod
     def joined(cls, one: ImuTable, other: ImuTable) -> ImuTable:
         """Return the rows of two tables of the same kind, one after the other."""
         columns = ((one.t_ns, other.t_ns), (one.gyro, other.gyro), (one.accel, other.accel))

@@ -81,6 +81,7 @@ class ImuTrim:
 
     def __init__(self, config: Config) -> None:
         self._begin_ns, self._end_ns = limits_ns(config)
+        self._unlimited = config.run.start_s is None and config.run.end_s is None
         # the start lies within an interval: the row before tells where that began
         self._with_row_before = config.initial.position != "gnss"
         self._before: ImuTable | None = None
@@ -91,6 +92,9 @@ class ImuTrim:
 
     def take(self, imu: ImuTable) -> ImuTable:
         """Rows of the next piece that take part; rows after ``end_s`` do if one inside comes after them."""
+        if self._unlimited and len(imu):
+            self.first, self.seen = self.first or 0, self.seen + len(imu)
+            return imu
         inside = (imu.t_ns >= self._begin_ns) & (imu.t_ns <= self._end_ns)
         seen, self.seen = self.seen, self.seen + len(imu)
         if not inside.any():

@@ -88,7 +88,7 @@ def run_pieces(
     -----
     The look at the data takes the first piece before the filter starts, and all rows by its end: the findings in
     ``metadata["finding"]`` are those of the whole log, except that the usual step and the unevenness of the stamps are
-    those of the first piece. The reference of ``[truth]`` is not read. Rows after ``[run] end_s`` are not read on once
+    those of its start. The reference of ``[truth]`` is not read. Rows after ``[run] end_s`` are not read on once
     a whole piece lies there.
     """
     clock = time.perf_counter()

@@ -11,15 +11,12 @@ from ..config import Config
 from ..dataset import Array, GnssTable, ImuTable, Times
 from ..units import DEG_TO_RAD, NS_PER_S, STANDARD_GRAVITY_M_S2, ms_to_ns
 from .motion import Steps, Windows, moving_fixes, spans
-from .timing import StampLook
+from .timing import BLOCK_ROWS, StampLook
 
 __all__ = ["FASTEST_RAD_S", "ImuLook"]
 
 FASTEST_RAD_S: Final = 70.0
 """No gyro on the market reads so much (4000 deg/s)."""
-
-_BLOCK_ROWS = 8192
-"""Rows taken at a time: their temporary arrays stay in the cache."""
 
 _LEAST_ROWS = 10
 """Usable rows below which nothing is said about units and axes."""
@@ -33,7 +30,7 @@ _LONGEST_STEP_S = 3.0
 class ImuLook:
     """What the checks need to know of an IMU log; :meth:`add` takes it whole or in pieces.
 
-    Only the usual step between rows is taken from the first piece alone; all else is of all rows so far.
+    Only the usual step between rows is that of the start of the log; all else is of all rows so far.
 
     Attributes
     ----------
@@ -82,8 +79,8 @@ class ImuLook:
     def add(self, imu: ImuTable) -> None:
         """Take the next rows of the log."""
         self.stamps.add(imu.t_ns)
-        for first in range(0, len(imu), _BLOCK_ROWS):
-            rows = slice(first, first + _BLOCK_ROWS)
+        for first in range(0, len(imu), BLOCK_ROWS):
+            rows = slice(first, first + BLOCK_ROWS)
             values = np.hstack([imu.gyro[rows], imu.accel[rows]])
             self._count(values, imu.t_ns[rows])
             self.rows += len(values)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,11 @@ from .findings import Finding
 _GAP_STEPS = 3.0
 """A step longer than so many median steps is told as a short gap."""
 
+BLOCK_ROWS: Final = 8192
+"""Rows looked at in one go: their temporary arrays stay in the cache."""
+
+_JUDGED_ROWS = 100_000
+
 _JITTER_SHARE = 0.2
 """Spread of the steps, as a share of the median step, above which the stamps are called uneven."""
 
@@ -22,7 +28,8 @@ _JITTER_SHARE = 0.2
 class StampLook:
     """A look at the stamps of one table, whole or in pieces.
 
-    The usual step and the unevenness are those of the first piece; order and gaps are of all stamps so far.
+    The usual step and the unevenness are those of the first hundred thousand rows (of the first piece, if that is
+    shorter); order and gaps are of all stamps so far.
 
     Parameters
     ----------
@@ -50,10 +57,15 @@ class StampLook:
 
     def add(self, t_ns: Times) -> None:
         """Take the next stamps."""
-        if not t_ns.size:
-            return
+        if np.isnan(self.step_s):
+            self._judge_steps(np.diff(t_ns[:_JUDGED_ROWS]))
+        for first in range(0, t_ns.size, BLOCK_ROWS):
+            self._add(t_ns[first : first + BLOCK_ROWS])
+
+    def _add(self, t_ns: Times) -> None:
         low, high = int(t_ns.min()), int(t_ns.max())
-        self.span_ns = (low, high) if self.span_ns is None else (min(low, self.span_ns[0]), max(high, self.span_ns[1]))
+        span = (low, high) if self.span_ns is None else self.span_ns
+        self.span_ns = (min(low, span[0]), max(high, span[1]))
         joined = np.concatenate([self._last, t_ns])
         steps = np.diff(joined)
         first = self._rows - self._last.size
@@ -63,8 +75,6 @@ class StampLook:
         if steps.min() <= 0:
             self._back.add(steps < 0, joined, steps, first)
             self._same.add(steps == 0, joined, steps, first)
-        if np.isnan(self.step_s):
-            self._judge_steps(steps if steps.min() > 0 else steps[steps > 0])
         if self.max_gap_s is None or np.isnan(self.step_s):
             return
         short = min(_GAP_STEPS * self.step_s, self.max_gap_s)
@@ -74,7 +84,8 @@ class StampLook:
             self._long.add(long, joined, steps, first)
             self._short.add((seconds > _GAP_STEPS * self.step_s) & ~long, joined, steps, first)
 
-    def _judge_steps(self, forward: Times) -> None:
+    def _judge_steps(self, steps: Times) -> None:
+        forward = steps[steps > 0]
         if forward.size:
             median = np.median(forward)
             self.step_s = float(median) / NS_PER_S

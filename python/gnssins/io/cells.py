@@ -13,7 +13,7 @@ from ..units import TIME_DIGITS
 from .text import TextTable
 
 Mask = NDArray[np.bool_]
-_PRECISION = 38
+PRECISION = 38
 """Digits of the decimal type that times pass through: enough for int64 nanoseconds in any unit."""
 
 
@@ -79,15 +79,20 @@ def _reasons(table: TextTable) -> str:
 def _floats(cells: pl.Series, missing: str) -> tuple[NDArray[np.float64], Mask]:
     """Values with NaN where missing, and the rows whose cell is no number."""
     parsed = cells.cast(pl.Float64, strict=False)
-    values = parsed.to_numpy(writable=True)
-    if _looks_numeric(missing):
-        values[values == float(missing)] = np.nan
-    return values, _unread(cells, parsed, missing)
+    return as_missing(parsed.to_numpy(), missing), _unread(cells, parsed, missing)
+
+
+def as_missing(values: NDArray[np.float64], missing: str) -> NDArray[np.float64]:
+    """NaN for a number that stands for a missing value."""
+    if not _looks_numeric(missing):
+        return values
+    sentinel = values == float(missing)
+    return np.where(sentinel, np.nan, values) if sentinel.any() else values
 
 
 def _times(cells: pl.Series, unit: str, missing: str) -> tuple[NDArray[np.int64], Mask, Mask]:
     """Stamps in ns, the rows without a stamp, and the rows whose stamp is no number."""
-    decimal = cells.cast(pl.Decimal(_PRECISION, TIME_DIGITS[unit]), strict=False)
+    decimal = cells.cast(pl.Decimal(PRECISION, TIME_DIGITS[unit]), strict=False)
     parsed = decimal.to_physical().cast(pl.Int64, strict=False)
     bad = _unread(cells, parsed, missing)
     absent = parsed.is_null().to_numpy() & ~bad

@@ -7,6 +7,7 @@ that are missing or not finite are passed on as they are: the engine judges them
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..dataset import BaroTable, GnssTable, HeadingTable, ImuPiece, ImuTable, So
 from ..errors import ConfigError, InputError
 from ..units import DEG_TO_RAD
 from .cells import numbers
+from .clean import read_clean
 from .text import TextTable, read_text, text_pieces
 
 Array = NDArray[np.float64]
@@ -57,18 +59,12 @@ class CsvFormat:
             File, column, row or cell that cannot be read; see :mod:`gnssins.io.text` and
             :mod:`gnssins.io.cells`.
         """
-        text = read_text(
-            path,
-            section="imu",
-            required=_imu_columns(config),
-            separator=config.separator,
-            skip_bad=config.on_bad_row == "skip",
-        )
-        table = _imu_table(text, config)
+        table, source = _clean_imu(path, config) or _any_imu(path, config)
         late = int((table.t_ns < np.maximum.accumulate(table.t_ns)).sum())
         if config.on_backwards != "sort" or not late:
-            return table, _source(text)
-        return table.select(np.argsort(table.t_ns, kind="stable")), _source(text, late)
+            return table, source
+        order = np.argsort(table.t_ns, kind="stable")
+        return table.select(order), replace(source, sorted_rows=late)
 
     def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[ImuPiece]:
         """Read an IMU log in pieces of so many rows, in the order of the file.
@@ -94,7 +90,7 @@ class CsvFormat:
             skip_bad=config.on_bad_row == "skip",
         )
         for text in pieces:
-            table = _imu_table(text, config)  # counts what it skips
+            table = _imu_of_text(text, config)
             yield ImuPiece(table, _source(text), text.share)
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
@@ -261,14 +257,38 @@ def _imu_columns(config: ImuConfig) -> tuple[str, ...]:
     return (config.time_column, *config.gyro_columns, *config.accel_columns)
 
 
-def _imu_table(text: TextTable, config: ImuConfig) -> ImuTable:
-    """Cells to SI units and forward-right-down axes."""
-    values = _imu_columns(config)[1:]
-    t_ns, columns = numbers(text, config.time_column, config.time_unit, values, config.missing)
+def _clean_imu(path: Path, config: ImuConfig) -> tuple[ImuTable, Source] | None:
+    """The short way; None for a file that is not clean."""
+    time, *values = _imu_columns(config)
+    clean = read_clean(path, time, config.time_unit, values, config.missing, config.separator)
+    if clean is None:
+        return None
+    return _imu_table(clean.t_ns, clean.columns, config), Source(str(path), clean.sha256, clean.t_ns.size)
+
+
+def _any_imu(path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
+    text = read_text(
+        path,
+        section="imu",
+        required=_imu_columns(config),
+        separator=config.separator,
+        skip_bad=config.on_bad_row == "skip",
+    )
+    return _imu_of_text(text, config), _source(text)
+
+
+def _imu_of_text(text: TextTable, config: ImuConfig) -> ImuTable:
+    """Cells to a table; what is skipped is counted in ``text``."""
+    time, *values = _imu_columns(config)
+    return _imu_table(*numbers(text, time, config.time_unit, values, config.missing), config)
+
+
+def _imu_table(t_ns: NDArray[np.int64], columns: dict[str, Array], config: ImuConfig) -> ImuTable:
+    """Columns to SI units and forward-right-down axes."""
     to_frd = axes_matrix(config.axes)
-    gyro = _turn(_stack(columns, config.gyro_columns) * config.gyro_factor(), to_frd)
-    accel = _turn(_stack(columns, config.accel_columns) * config.accel_factor(), to_frd)
-    return ImuTable(t_ns, gyro, accel, config.kind)
+    gyro = _turned([columns[name] * config.gyro_factor() for name in config.gyro_columns], to_frd)
+    accel = _turned([columns[name] * config.accel_factor() for name in config.accel_columns], to_frd)
+    return ImuTable.of_own(t_ns, gyro, accel, config.kind)
 
 
 def _one_value(
@@ -313,18 +333,21 @@ def _stack(columns: dict[str, Array], names: tuple[str, ...], rows: int = 0) -> 
     return np.column_stack([columns.get(name, absent) for name in names])
 
 
-def _turn(values: Array, c: Array) -> Array:
-    """Turn the rows (n, 3) by a rotation; a value that is not finite stays in its row."""
+def _turned(axes: list[Array], c: Array) -> Array:
+    """Columns along three axes turned by a rotation, side by side; a value that is not finite stays in its row."""
     swap = np.abs(c).argmax(axis=1)
     sign = c[np.arange(3), swap]
     if np.array_equal(np.abs(sign), np.ones(3)):  # axes by letters: exact, and axis by axis
-        return np.asarray(values[:, swap] * sign)
+        out = np.empty((axes[0].size, 3))
+        for i in range(3):
+            np.multiply(axes[swap[i]], sign[i], out=out[:, i])
+        return out
     with np.errstate(invalid="ignore"):
-        return np.asarray(values @ c.T)
+        return np.asarray(np.column_stack(axes) @ c.T)
 
 
-def _source(text: TextTable, sorted_rows: int = 0) -> Source:
-    return Source(str(text.path), text.sha256, text.rows, dict(text.skipped), sorted_rows)
+def _source(text: TextTable) -> Source:
+    return Source(str(text.path), text.sha256, text.rows, dict(text.skipped))
 
 
 def _hint_use(error: InputError, config: GnssConfig) -> InputError:

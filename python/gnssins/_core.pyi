@@ -1,7 +1,7 @@
 """Compiled core: SI units, radians, int64 nanoseconds; body axes forward-right-down, navigation axes NED.
 
-Arrays are copied in. Quaternions are scalar first and take body vectors to NED. Every function raises the
-classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigError`` for values.
+Arrays are copied in, the IMU log block by block. Quaternions are scalar first and take body vectors to NED. Every
+function raises the classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigError`` for values.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,6 +9,7 @@ from typing import Any, NotRequired, Self, TypedDict, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import disjoint_base
 
 __all__ = [
     "FreeIns",
@@ -257,6 +258,7 @@ class Run:
     def finish(self) -> _About:
         """End the log; return everything that is not a column over time."""
 
+@disjoint_base
 class Navigator:
     """A filter fed row by row; gives the same bits as :func:`run` on the same rows in time order.
 

@@ -84,8 +84,12 @@ class ImuTable(Timed):
     @classmethod
     def joined(cls, one: ImuTable, other: ImuTable) -> ImuTable:
         """Return the rows of two tables of the same kind, one after the other."""
-        columns = ((one.t_ns, other.t_ns), (one.gyro, other.gyro), (one.accel, other.accel))
-        return cls(*(np.concatenate(pair) for pair in columns), one.kind)
+        return cls(
+            np.concatenate([one.t_ns, other.t_ns]),
+            np.concatenate([one.gyro, other.gyro]),
+            np.concatenate([one.accel, other.accel]),
+            one.kind,
+        )
 
     def __repr__(self) -> str:
         return f"ImuTable({self.span()}, {self.kind})"

@@ -1,4 +1,4 @@
-"""A run whose IMU log does not fit in memory: read, filtered and written in pieces, with the bits of :func:`gnssins.run`."""
+"""A run whose IMU log does not fit in memory: read, filtered and written in pieces, to the same bits."""
 
 from __future__ import annotations
 
@@ -41,7 +41,14 @@ from gnssins.storage import covariance_table
 __all__ = ["run_pieces"]
 
 #: Errors of the search for a start that more of the log may mend.
-_MORE_MAY_HELP: Final = ("input.empty", "input.no_start_fix", "input.no_course", "input.no_imu", "input.no_sd")
+_MORE_MAY_HELP: Final = (
+    "input.empty",
+    "input.no_start_fix",
+    "input.no_course",
+    "input.no_imu",
+    "input.no_sd",
+)
+
 
 def run_pieces(
     config: Config | Mapping[str, Any] | str | os.PathLike[str],
@@ -132,7 +139,7 @@ def run_pieces(
             metadata = run_metadata(config, about_run(config_file, times), inputs, engine, findings)
             cut = replace(cut, imu_first=trim.first or 0)
             result = collect({**no_epochs(len(about["states"])), **about}, aids, cut, metadata)
-            storage.save_with(result, folder, parts.write_navigation, parts.write_covariance)
+            storage.save_with(result, Path(folder), parts.write_navigation, parts.write_covariance)
     except GnssinsError as error:
         attach(error, findings, repeat=told is None)
         raise

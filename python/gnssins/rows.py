@@ -49,7 +49,6 @@ class Timed:
         start, end = self.t_ns[0] / NS_PER_S, self.t_ns[-1] / NS_PER_S
         return f"{len(self)} rows, {start:.3f} to {end:.3f} s, {self.rate_hz:.4g} Hz"
 
-
     def _with(self, **columns: NDArray[Any] | None) -> Self:
         """Copy of the table with other columns, made of its own: they need no check and are not copied again."""
         table = copy(self)

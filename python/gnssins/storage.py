@@ -76,7 +76,10 @@ def save(result: Result, folder: str | Path) -> Path:
 
 
 def save_with(
-    result: Result, folder: str | Path, navigation: Callable[[Path], object], covariance: Callable[[Path], object]
+    result: Result,
+    folder: str | Path,
+    navigation: Callable[[Path], object],
+    covariance: Callable[[Path], object],
 ) -> Path:
     """Write ``result`` as :func:`save` does, the two tables over time by functions that fill a file."""
     target = Path(folder)

@@ -395,7 +395,24 @@ def test_rows_stay_in_file_order_unless_sorting_is_asked_for(read):
 
 
 CELL = st.sampled_from(
-    ["0", "1.5", "-2", "+3", "1e-3", ".5", "7.", "1e400", "nan", "NaN", "inf", "-Infinity", "", " 4", "x", "-999"]
+    [
+        "0",
+        "1.5",
+        "-2",
+        "+3",
+        "1e-3",
+        ".5",
+        "7.",
+        "1e400",
+        "nan",
+        "NaN",
+        "inf",
+        "-Infinity",
+        "",
+        " 4",
+        "x",
+        "-999",
+    ]
     + ['"5"', "1,2", "1;2", "0x1", "1_0", "true", "\r", "5\r"]
 )
 TIME = st.sampled_from(

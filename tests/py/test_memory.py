@@ -32,7 +32,9 @@ print(len(result), peak, output)
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs the peak memory that Linux tells")
+@pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="needs the peak memory that Linux tells"
+)
 @pytest.mark.parametrize("rate", [1.0, 50.0])
 def test_a_run_needs_its_output_and_20_mb_beside_the_input(rate):
     # GIVEN 34 MB of input  WHEN it is run  THEN no second copy of it is made

@@ -23,7 +23,9 @@ def _table(first=1, last=ROWS):
 
 def _fixes():
     gnss = simulated().dataset.gnss
-    return [(int(t), lla, v, sd) for t, lla, v, sd in zip(gnss.t_ns, gnss.lla, gnss.v_n, gnss.sd, strict=True)]
+    return [
+        (int(t), lla, v, sd) for t, lla, v, sd in zip(gnss.t_ns, gnss.lla, gnss.v_n, gnss.sd, strict=True)
+    ]
 
 
 def _one_by_one(feed, fixes=True):

@@ -25,9 +25,7 @@ _HIGH_M = 30.0
 """Height above the ellipsoid from which the ratio of two heights tells their units."""
 
 
-def check_aids(
-    dataset: Dataset, config: Config | None, span_ns: tuple[int, int] | None
-) -> Iterator[Finding]:
+def check_aids(dataset: Dataset, config: Config | None, span_ns: tuple[int, int] | None) -> Iterator[Finding]:
     """Look at the aids beside GNSS.
 
     Parameters

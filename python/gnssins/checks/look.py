@@ -98,7 +98,7 @@ class ImuLook:
         latest = np.iinfo(np.int64).min if self._last_used is None else self._last_used[0]
         use = np.ones(len(values), dtype=np.bool_)
         if not np.isfinite(values.sum()):  # a sum that overflows only costs the closer look
-            use = np.isfinite(values).all(axis=1)
+            use[:] = np.isfinite(values).all(axis=1)
             if not use.all() and not self.bad:
                 self.first_bad = self.rows + int(np.argmin(use))
             self.bad += int((~use).sum())
@@ -116,7 +116,9 @@ class ImuLook:
         usual_s = self.step_s if self.step_s > 0.0 else 1.0
         if self._last_used is None:
             self.first_used_ns = int(t_ns[0])
-        before_ns = int(t_ns[0]) - round(usual_s * NS_PER_S) if self._last_used is None else self._last_used[0]
+        before_ns = (
+            int(t_ns[0]) - round(usual_s * NS_PER_S) if self._last_used is None else self._last_used[0]
+        )
         steps_s = np.diff(t_ns, prepend=before_ns) / NS_PER_S
         if self.kind == "increments":
             values = values / np.minimum(steps_s, 3.0 * usual_s)[:, None]
@@ -200,4 +202,6 @@ class ImuLook:
         course = np.arctan2(v_n[:, 1], v_n[:, 0])
         turn = (course[last] - course[first] + np.pi) % (2.0 * np.pi) - np.pi
         moved = integral[last] - integral[first]
-        return Steps(-(moved[:, :3] @ up_b), turn, moved[:, 3:] / dt[:, None], (speed[last] - speed[first]) / dt)
+        return Steps(
+            -(moved[:, :3] @ up_b), turn, moved[:, 3:] / dt[:, None], (speed[last] - speed[first]) / dt
+        )

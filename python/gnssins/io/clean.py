@@ -102,7 +102,7 @@ def _scan(path: Path, separator: str) -> _Scan:
     values = np.frombuffer(buffer, dtype=np.uint8)
     with path.open("rb", buffering=0) as file:
         while count := file.readinto(buffer):
-            digest.update(values[:count])
+            digest.update(memoryview(buffer)[:count])
             separators += int(np.count_nonzero(values[:count] == ord(separator)))
             plain = plain and all(buffer.find(odd, 0, count) < 0 for odd in (b'"', b"\r", b"\x00"))
     return _Scan(digest.hexdigest(), separators, plain)

@@ -182,9 +182,7 @@ class _Layout:
         good = lines.cells == len(self.names)
         row = np.arange(seen + 1, seen + good.size + 1, dtype=np.int64)
         at = lines.number + line
-        table = TextTable(
-            self.path, "", self.section, self.skip_bad, good.size, columns, row[good], at[good]
-        )
+        table = TextTable(self.path, "", self.section, self.skip_bad, good.size, columns, row[good], at[good])
         if not good.all():
             _tell_ragged(table, self.names, lines, row, at, cut=cut or not lines.complete)
         return table

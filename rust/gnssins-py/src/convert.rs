@@ -49,7 +49,8 @@ pub fn vector3(values: &Bound<'_, PyAny>, name: &str) -> PyResult<Vector3<f64>> 
     if let Ok(array) = values.cast::<PyArray1<f64>>()
         && array.is_aligned()
         && array.len() == 3
-        && let (Some(x), Some(y), Some(z)) = (array.get_owned([0]), array.get_owned([1]), array.get_owned([2]))
+        && let (Some(x), Some(y), Some(z)) =
+            (array.get_owned([0]), array.get_owned([1]), array.get_owned([2]))
     {
         return Ok(Vector3::new(x, y, z));
     }

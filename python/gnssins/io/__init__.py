@@ -16,6 +16,7 @@ from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuPiece, Imu
 from ..errors import ConfigError, InputError
 from .csv import CsvFormat
 from .csv_writer import write_baro, write_gnss, write_heading, write_imu, write_truth
+from .parquet import ParquetFormat
 
 __all__ = [
     "Format",
@@ -165,3 +166,4 @@ def read_aids(config: Config) -> Dataset:
 
 
 register(CsvFormat())
+register(ParquetFormat())

@@ -67,7 +67,8 @@ def numbers(
         )
     if out.any():
         keep = ~out
-        table.row, table.line, t_ns = table.row[keep], table.line[keep], t_ns[keep]
+        table.row, t_ns = table.row[keep], t_ns[keep]
+        table.line = None if table.line is None else table.line[keep]
         columns = {name: cells[keep] for name, cells in columns.items()}
     return t_ns, columns
 
@@ -101,7 +102,7 @@ def _times(cells: pl.Series, unit: str, missing: str) -> tuple[NDArray[np.int64]
 
 def _unread(cells: pl.Series, parsed: pl.Series, missing: str) -> Mask:
     """Rows whose cell holds text that is neither a number nor a missing value."""
-    if not parsed.null_count():
+    if not parsed.null_count() or cells.dtype != pl.String:
         return np.zeros(len(cells), dtype=np.bool_)
     tokens = list({missing.strip().lower(), "nan"})
     known = cells.str.to_lowercase().is_in(tokens).fill_null(value=True)
@@ -139,7 +140,7 @@ def _judge(table: TextTable, name: str, bad: Mask, what: str) -> None:
         {
             "file": str(table.path),
             "row": int(table.row[index]),
-            "line": int(table.line[index]),
+            "line": None if table.line is None else int(table.line[index]),
             "column": name,
             "count": count,
         },

@@ -6,7 +6,7 @@ that are missing or not finite are passed on as they are: the engine judges them
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +34,11 @@ class CsvFormat:
     """Delimited text with one header line, plain or gzip."""
 
     name = "csv"
-    suffixes = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz")
+    suffixes: tuple[str, ...] = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz")
+    clean = True
+    """Whether to try the short way of :mod:`gnssins.io.clean`."""
+    table = staticmethod(read_text)
+    pieces = staticmethod(text_pieces)
 
     def read_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
         """Read an IMU log into SI units and forward-right-down axes.
@@ -59,12 +63,23 @@ class CsvFormat:
             File, column, row or cell that cannot be read; see :mod:`gnssins.io.text` and
             :mod:`gnssins.io.cells`.
         """
-        table, source = _clean_imu(path, config) or _any_imu(path, config)
+        table, source = (self.clean and _clean_imu(path, config)) or self._any_imu(path, config)
         late = int((table.t_ns < np.maximum.accumulate(table.t_ns)).sum())
         if config.on_backwards != "sort" or not late:
             return table, source
         order = np.argsort(table.t_ns, kind="stable")
         return table.select(order), replace(source, sorted_rows=late)
+
+    def _any_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
+        """The long way: every flaw is named or counted."""
+        text = self.table(
+            path,
+            section="imu",
+            required=_imu_columns(config),
+            separator=config.separator,
+            skip_bad=config.on_bad_row == "skip",
+        )
+        return _imu_of_text(text, config), _source(text)
 
     def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[ImuPiece]:
         """Read an IMU log in pieces of so many rows, in the order of the file.
@@ -81,7 +96,7 @@ class CsvFormat:
         ImuPiece
             The next rows; none where all were skipped.
         """
-        pieces = text_pieces(
+        pieces = self.pieces(
             path,
             rows,
             section="imu",
@@ -122,7 +137,7 @@ class CsvFormat:
         accuracy = (*config.position_sd_columns, *config.velocity_sd_columns)
         changed = config.new_constellation_column
         try:
-            text = read_text(
+            text = self.table(
                 path,
                 section="gnss",
                 required=(config.time_column, *position, *velocity),
@@ -176,7 +191,7 @@ class CsvFormat:
             ``config.no_accuracy``: neither the file nor the configuration tells the accuracy of some heights.
         """
         text, t_ns, height, sd = _one_value(
-            path, "baro", config, config.height_column, config.height_factor, config.height_sd_m
+            self.table, path, "baro", config, config.height_column, config.height_factor, config.height_sd_m
         )
         return BaroTable(t_ns, height + config.geoid_height_m, sd * np.abs(sd)), _source(text)
 
@@ -206,6 +221,7 @@ class CsvFormat:
         """
         given = config.heading_sd_deg
         text, t_ns, heading, sd = _one_value(
+            self.table,
             path,
             "heading",
             config,
@@ -239,7 +255,7 @@ class CsvFormat:
         """
         groups = (_TRUTH_POSITION, _TRUTH_VELOCITY, _TRUTH_EULER, _TRUTH_QUATERNION)
         values = tuple(name for group in groups for name in group)
-        text = read_text(path, section="truth", required=("time_s",), optional=values)
+        text = self.table(path, section="truth", required=("time_s",), optional=values)
         if not any(all(name in text.columns for name in group) for group in groups):
             raise InputError(
                 "input.column",
@@ -266,17 +282,6 @@ def _clean_imu(path: Path, config: ImuConfig) -> tuple[ImuTable, Source] | None:
     return _imu_table(clean.t_ns, clean.columns, config), Source(str(path), clean.sha256, clean.t_ns.size)
 
 
-def _any_imu(path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
-    text = read_text(
-        path,
-        section="imu",
-        required=_imu_columns(config),
-        separator=config.separator,
-        skip_bad=config.on_bad_row == "skip",
-    )
-    return _imu_of_text(text, config), _source(text)
-
-
 def _imu_of_text(text: TextTable, config: ImuConfig) -> ImuTable:
     """Cells to a table; what is skipped is counted in ``text``."""
     time, *values = _imu_columns(config)
@@ -292,6 +297,7 @@ def _imu_table(t_ns: NDArray[np.int64], columns: dict[str, Array], config: ImuCo
 
 
 def _one_value(
+    read: Callable[..., TextTable],
     path: Path,
     section: str,
     config: BaroConfig | HeadingConfig,
@@ -300,7 +306,7 @@ def _one_value(
     given_sd: float | None,
 ) -> tuple[TextTable, NDArray[np.int64], Array, Array]:
     """Read an aid with one value per row: its stamps, values and standard deviations in SI, shapes (m,)."""
-    text = read_text(
+    text = read(
         path,
         section=section,
         required=(config.time_column, column),

@@ -124,6 +124,11 @@ def read_pieces(
         raise _empty(path, section)
 
 
+def require_file(path: Path, section: str) -> None:
+    """Raise as :func:`read_raw` does for a file that is not there or cannot be opened."""
+    _open(path, section).close()
+
+
 def file_digest(path: Path) -> str:
     """SHA-256 of a file as it lies on disk."""
     with path.open("rb") as file:

@@ -40,9 +40,10 @@ class TextTable:
     rows : int
         Data rows in the file, blank lines not counted.
     columns : dict of str to polars.Series
-        Cells as text without blanks around them; null for an empty cell.
+        Cells as text without blanks around them, or as numbers; null for an empty cell.
     row, line : ndarray of int64
-        Number of each table row among the data rows (first = 1), and its line in the file (header = 1).
+        Number of each table row among the data rows (first = 1), and its line in the file (header = 1; None for files
+        without lines).
     skipped : dict of str to int
         Rows left out so far, by reason.
     piece : bool
@@ -58,14 +59,15 @@ class TextTable:
     rows: int
     columns: dict[str, pl.Series]
     row: Integers
-    line: Integers
+    line: Integers | None
     skipped: dict[str, int] = field(default_factory=dict)
     piece: bool = False
     share: float = 1.0
 
     def where(self, index: int) -> str:
         """Name a table row the way a user finds it: file, row, line."""
-        return f"{self.path.name} row {self.row[index]} (line {self.line[index]})"
+        line = "" if self.line is None else f" (line {self.line[index]})"
+        return f"{self.path.name} row {self.row[index]}{line}"
 
     def count(self, reason: str, rows: int) -> None:
         """Add to the skipped rows of a reason."""
@@ -123,7 +125,7 @@ def read_text(
     layout = _layout(path, head, section, required, optional, separator, skip_bad)
     table = layout.table(body, line=lead, cut=raw.cut)
     if not table.rows:
-        raise _no_rows(path)
+        raise no_rows(path)
     table.sha256 = raw.sha256
     return table
 
@@ -161,7 +163,7 @@ def text_pieces(
         if table.rows:
             yield table
     if not seen:
-        raise _no_rows(path)
+        raise no_rows(path)
 
 
 @dataclass(frozen=True)
@@ -198,12 +200,13 @@ def _layout(
     skip_bad: bool,
 ) -> _Layout:
     names = _header(head, separator, path, section)
-    _require(required, names, path, section)
+    require_columns(required, names, path, section)
     wanted = {name for name in names if name in required or name in optional}
     return _Layout(path, section, names, wanted, separator, skip_bad)
 
 
-def _no_rows(path: Path) -> InputError:
+def no_rows(path: Path) -> InputError:
+    """Error of a file without rows."""
     return InputError(
         "input.no_rows",
         f"{path}: a header line but no data rows",
@@ -258,7 +261,8 @@ def _looks_numeric(text: str) -> bool:
     return True
 
 
-def _require(required: Sequence[str], names: list[str], path: Path, section: str) -> None:
+def require_columns(required: Sequence[str], names: list[str], path: Path, section: str) -> None:
+    """Raise for columns that the file does not have."""
     missing = [name for name in required if name not in names]
     if not missing:
         return

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gnssins.errors import GnssinsError
     from gnssins.io import read_dataset
     from gnssins.navigator import Navigator
+    from gnssins.pieces import run_pieces
     from gnssins.result import Result
     from gnssins.runner import run
     from gnssins.sim import Simulated, Simulator, simulate
@@ -57,6 +58,7 @@ __all__ = [
     "reproduce",
     "result",
     "run",
+    "run_pieces",
     "separated",
     "sim",
     "simulate",
@@ -82,6 +84,7 @@ _HOME = {
     "preset_names": "config",
     "read_dataset": "io",
     "run": "runner",
+    "run_pieces": "pieces",
     "separated": "uncoupled",
     "simulate": "sim",
 }

@@ -53,7 +53,8 @@ impl<const CAP: usize> Covariance<CAP> {
     /// Number of states in use.
     #[must_use]
     pub const fn len(&self) -> usize {
-        self.n
+        // never more than there are: the compiler cannot know that of a field
+        if self.n < CAP { self.n } else { CAP }
     }
 
     /// Never: a filter has states.
@@ -76,8 +77,11 @@ impl<const CAP: usize> Covariance<CAP> {
 
     /// Sets (i, j) and (j, i).
     pub(crate) fn set(&mut self, i: usize, j: usize, value: f64) {
-        self.p[i][j] = value;
-        self.p[j][i] = value;
+        for (i, j) in [(i, j), (j, i)] {
+            if let Some(a) = self.p.get_mut(i).and_then(|row| row.get_mut(j)) {
+                *a = value;
+            }
+        }
     }
 
     /// `P <- Phi (P + Q/2) Phi' + Q/2` with Phi = [A B; 0 D], D diagonal: the product is never formed n x n. Runs on the
@@ -237,10 +241,8 @@ impl<const CAP: usize> Covariance<CAP> {
 
     /// Multiplies a state's sigma, its correlations unchanged.
     pub(crate) fn scale_state(&mut self, i: usize, factor: f64) {
-        for j in 0..self.n {
-            self.p[i][j] *= factor;
-            self.p[j][i] *= factor;
-        }
+        self.p.get_mut(i).into_iter().flatten().for_each(|a| *a *= factor);
+        self.p.iter_mut().filter_map(|row| row.get_mut(i)).for_each(|a| *a *= factor);
     }
 
     /// `P <- G P G'` where G differs from I only in the 3x3 block at `start`.
@@ -273,7 +275,7 @@ impl<const CAP: usize> Covariance<CAP> {
     /// [`Error::Covariance`] with the first state that fails and its variance.
     pub(crate) fn check_variances(&self, t_ns: i64) -> Result<(), Error> {
         let bad = |v: f64| !(v.is_finite() && v > 0.0);
-        match (0..self.n).find(|i| bad(self.p[*i][*i])) {
+        match (0..self.len()).find(|i| bad(self.p[*i][*i])) {
             Some(state) => Err(Error::Covariance { t_ns, state, pivot: self.p[state][state] }),
             None => Ok(()),
         }
@@ -305,18 +307,18 @@ impl<const CAP: usize> Kernel for Check<'_, CAP> {
 
     #[inline(always)]
     fn run<E: Eight>(self) -> Option<(usize, f64)> {
-        let Covariance { p, n } = self.0;
+        let (p, n) = (&self.0.p, self.0.len());
         let mut scale = Aligned([0.0; CAP]);
-        for (i, s) in scale.0.iter_mut().enumerate().take(*n) {
+        for (i, s) in scale.0.iter_mut().enumerate().take(n) {
             *s = 1.0 / math::sqrt(p[i][i]);
         }
         let mut a = Aligned([[0.0; CAP]; CAP]);
-        for ((a, p), s) in a.0.iter_mut().zip(p).zip(&scale.0).take(*n) {
+        for ((a, p), s) in a.0.iter_mut().zip(p).zip(&scale.0).take(n) {
             for ((a, p), t) in lanes_mut(a).iter_mut().zip(lanes(p)).zip(lanes(&scale.0)) {
                 E::load(p).times(E::load(t)).times(E::splat(*s)).store(a);
             }
         }
-        for k in 0..*n {
+        for k in 0..n {
             let (done, rest) = a.0.split_at_mut((k + 1).min(CAP));
             let row = done.last()?;
             let pivot = row[k];
@@ -324,7 +326,7 @@ impl<const CAP: usize> Kernel for Check<'_, CAP> {
                 return Some((k, pivot));
             }
             let per_pivot = 1.0 / pivot;
-            for (i, below) in (k + 1..*n).zip(rest) {
+            for (i, below) in (k + 1..n).zip(rest) {
                 let factor = E::splat(-row[i] * per_pivot);
                 for (b, r) in lanes_mut(below).iter_mut().zip(lanes(row)).skip(i / LANES) {
                     E::load(b).madd(factor, E::load(r)).store(b);

@@ -79,7 +79,8 @@ impl Calibration {
         }
         // the adjugate: its rows are cross products of the columns
         let full = Matrix3::identity() + matrix;
-        let [x, y, z] = [0, 1, 2].map(|j| full.column(j).into_owned());
+        let [x, y, z] = full.data.0;
+        let (x, y, z) = (Vector3::from(x), Vector3::from(y), Vector3::from(z));
         let (yz, zx, xy) = (y.cross(&z), z.cross(&x), x.cross(&y));
         let det = x.dot(&yz);
         if !(det.is_finite() && det.abs() > 1e-6) {

@@ -142,7 +142,14 @@ impl<const CAP: usize> Layout<CAP> {
     /// Number of states, the nine navigation errors included.
     #[must_use]
     pub const fn len(&self) -> usize {
-        self.n
+        // what is so by construction, said where the compiler can use it
+        if self.n < NAV {
+            NAV
+        } else if self.n > CAP {
+            CAP
+        } else {
+            self.n
+        }
     }
 
     /// Never: the navigation errors are always there.
@@ -174,9 +181,10 @@ impl<const CAP: usize> Layout<CAP> {
         Some(StateInfo { quantity: kind.name(), axis, unit: kind.unit(), scale: state.initial_sd })
     }
 
-    /// Block states with their indices.
+    /// Block states with their indices: of a range, so that the compiler knows them below `CAP`.
+    #[inline(always)]
     pub(crate) fn states(&self) -> impl Iterator<Item = (usize, &BlockState)> {
-        self.states.iter().enumerate().filter_map(|(i, s)| s.as_ref().map(|s| (i, s)))
+        (NAV..CAP).filter_map(|i| self.states[i].as_ref().map(|s| (i, s)))
     }
 
     /// Whether the correlation of any state depends on the ground speed.

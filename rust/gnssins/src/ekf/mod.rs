@@ -19,7 +19,7 @@ use crate::imu::{Calibration, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
 use crate::meas::{BadReason, Measurement, Record, Rows, SOURCES, Status, View};
 use crate::nav::kinematics::AttitudeForm;
-use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
+use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9, from_ned_errors};
 use crate::simd::{self, Eight, Isa, Kernel};
 use crate::small::{self, ROWS_MAX};
 
@@ -72,8 +72,9 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let cov = initial_covariance(&layout, blocks, &model, initial)?;
         let mut params = [0.0; CAP];
         for (block, (kind, start)) in blocks.iter().zip(layout.blocks()) {
-            let len = kind.len();
-            params[start..start + len].copy_from_slice(&block.initial[..len]);
+            for (p, v) in params.iter_mut().skip(start).zip(block.initial.iter().take(kind.len())) {
+                *p = *v;
+            }
         }
         let block_step = BlockStep::new(&layout, 0.0, 0.0);
         let mut ekf = Self {
@@ -559,7 +560,7 @@ fn floor<const CAP: usize>(layout: &Layout<CAP>, blocks: &[Block], nav: &Floor) 
         }
     }
     for (block, (kind, start)) in blocks.iter().zip(layout.blocks()) {
-        for (f, sd) in floor[start..].iter_mut().zip(&block.floor_sd[..kind.len()]) {
+        for (f, sd) in floor.iter_mut().skip(start).zip(block.floor_sd.iter().take(kind.len())) {
             *f = sd * sd;
         }
     }
@@ -595,12 +596,12 @@ fn initial_covariance<M: NavModel, const CAP: usize>(
         }
     }
     for (block, (kind, start)) in blocks.iter().zip(layout.blocks()) {
-        for (v, sd) in variances[start..].iter_mut().zip(&block.initial_sd[..kind.len()]) {
+        for (v, sd) in variances.iter_mut().skip(start).zip(block.initial_sd.iter().take(kind.len())) {
             *v = sd * sd;
         }
     }
     let mut cov = Covariance::from_variances(&variances, layout.len());
-    if let Some(inverse) = model.to_ned_errors().and_then(|t| t.try_inverse()) {
+    if let Some(inverse) = model.to_ned_errors().map(|t| from_ned_errors(&t)) {
         let p = inverse
             * Matrix9::from_diagonal(&Vector9::from_iterator(variances.iter().take(NAV).copied()))
             * inverse.transpose();

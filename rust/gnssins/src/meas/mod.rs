@@ -99,18 +99,15 @@ impl<const CAP: usize> Rows<CAP> {
 
     /// Only the rows whose components are not among the bits `refused`.
     pub(crate) fn without(&self, refused: u8) -> Self {
-        let mut kept = Self { len: 0, ..*self };
-        let mut from = [0; ROWS_MAX];
-        for i in (0..self.len).filter(|i| refused >> self.component[*i] & 1 == 0) {
-            from[kept.len] = i;
-            kept.len += 1;
-        }
-        for i in 0..kept.len {
-            kept.y[i] = self.y[from[i]];
-            kept.h[i] = self.h[from[i]];
-            kept.component[i] = self.component[from[i]];
-            for j in 0..kept.len {
-                kept.r[i][j] = self.r[from[i]][from[j]];
+        let stays = |i: &usize| refused >> (self.component[*i] & 7) & 1 == 0;
+        let from = || (0..self.len.min(ROWS_MAX)).filter(stays);
+        let mut kept = Self { len: from().count(), ..*self };
+        for (i, a) in (0..ROWS_MAX).zip(from()) {
+            kept.y[i] = self.y[a];
+            kept.h[i] = self.h[a];
+            kept.component[i] = self.component[a];
+            for (r, b) in kept.r[i].iter_mut().zip(from()) {
+                *r = self.r[a][b];
             }
         }
         kept

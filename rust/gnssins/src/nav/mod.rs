@@ -190,6 +190,21 @@ pub struct Aid {
     pub h_lever: Matrix3<f64>,
 }
 
+/// The inverse of [`NavModel::to_ned_errors`]: the same rotation C of each three errors, and the shares A and B of the
+/// position error in attitude and velocity, so that [C 0 A; 0 C B; 0 0 C] goes into [C' 0 -C'AC'; 0 C' -C'BC'; 0 0 C'].
+pub(crate) fn from_ned_errors(t: &Matrix9) -> Matrix9 {
+    let back: Matrix3<f64> = t.fixed_view::<3, 3>(PHI, PHI).transpose();
+    let mut inverse = Matrix9::zeros();
+    for k in [PHI, DV, DP] {
+        inverse.fixed_view_mut::<3, 3>(k, k).copy_from(&back);
+    }
+    for k in [PHI, DV] {
+        let share = -(back * t.fixed_view::<3, 3>(k, DP) * back);
+        inverse.fixed_view_mut::<3, 3>(k, DP).copy_from(&share);
+    }
+    inverse
+}
+
 /// One mechanisation with its error model. Everything above (blocks, covariance, aids) is written once against
 /// this trait.
 pub trait NavModel: Clone {

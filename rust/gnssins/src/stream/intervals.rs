@@ -20,7 +20,7 @@ impl Intervals {
 
     pub fn push(&mut self, dt_ns: i64) {
         if let Some(usual) = self.usual_ns() {
-            self.owed_ns = self.owed_ns.saturating_add(usual.saturating_sub(dt_ns)).clamp(0, usual);
+            self.owed_ns = self.owed_ns.saturating_add(usual.saturating_sub(dt_ns)).max(0).min(usual);
         }
         self.recent[self.next % INTERVALS] = dt_ns;
         self.next = (self.next + 1) % INTERVALS;

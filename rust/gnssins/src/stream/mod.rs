@@ -505,7 +505,7 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
         }
         let limit = self.settings.reacquire_after.unwrap_or(u32::MAX).max(1);
         let mut factor = None;
-        for (part, refused) in self.refused.iter_mut().enumerate() {
+        for (part, (refused, ratio)) in self.refused.iter_mut().zip(&record.part_ratio).enumerate() {
             let bits = 0b111 << (3 * part) & record.present;
             if bits == 0 {
                 continue;
@@ -515,7 +515,7 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
                 continue;
             }
             refused.count = refused.count.saturating_add(1);
-            refused.ratio += record.part_ratio[part];
+            refused.ratio += ratio;
             if refused.count >= limit {
                 factor = Some((refused.ratio / f64::from(refused.count)).max(factor.unwrap_or(1.0)));
             }
@@ -537,9 +537,13 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
             .filter_map(|(place, s)| s.map(|(row, a)| (a.t_ns(), a.source().index(), row, place)))
             .filter(|(t_ns, ..)| *t_ns <= until_ns)
             .min()?;
-        self.waiting -= 1;
-        self.pending.swap(place, self.waiting);
-        self.pending[self.waiting].take()
+        // the last one takes its place
+        self.waiting = self.waiting.saturating_sub(1);
+        let last = self.pending.get_mut(self.waiting)?.take();
+        match self.pending.get_mut(place) {
+            Some(slot) if place != self.waiting => core::mem::replace(slot, last),
+            _ => last,
+        }
     }
 }
 

@@ -167,6 +167,61 @@ pub(crate) enum Coupling {
     GnssVelocity(Axis),
 }
 
+/// Couplings of one inertial sensor: the bias and three columns of the error matrix, three axes each.
+const INPUTS: usize = 12;
+/// Couplings of both, the gyros first.
+pub(crate) const INERTIAL: usize = 2 * INPUTS;
+const LEVER_ARM: usize = INERTIAL;
+const BARO: usize = LEVER_ARM + 3;
+const GNSS_POSITION: usize = BARO + 1;
+const GNSS_VELOCITY: usize = GNSS_POSITION + 3;
+
+/// All couplings: a layout keeps the place of each in one byte.
+pub(crate) const COUPLINGS: [Coupling; GNSS_VELOCITY + 3] = {
+    let mut all = [Coupling::Baro; GNSS_VELOCITY + 3];
+    let mut i = 0;
+    while i < INPUTS {
+        let source = if i < 3 { Source::Unit } else { Source::Component(axis(i / 3 - 1)) };
+        let input = Input { axis: axis(i % 3), source };
+        all[i] = Coupling::Gyro(input);
+        all[INPUTS + i] = Coupling::Accel(input);
+        i += 1;
+    }
+    let mut i = 0;
+    while i < 3 {
+        all[LEVER_ARM + i] = Coupling::LeverArm(axis(i));
+        all[GNSS_POSITION + i] = Coupling::GnssPosition(axis(i));
+        all[GNSS_VELOCITY + i] = Coupling::GnssVelocity(axis(i));
+        i += 1;
+    }
+    all
+};
+
+impl Coupling {
+    /// Place in [`COUPLINGS`].
+    pub(crate) const fn place(self) -> u8 {
+        let (first, i) = match self {
+            Self::Gyro(input) => (0, input.place()),
+            Self::Accel(input) => (INPUTS, input.place()),
+            Self::LeverArm(axis) => (LEVER_ARM, axis as usize),
+            Self::Baro => (BARO, 0),
+            Self::GnssPosition(axis) => (GNSS_POSITION, axis as usize),
+            Self::GnssVelocity(axis) => (GNSS_VELOCITY, axis as usize),
+        };
+        (first + i) as u8
+    }
+}
+
+impl Input {
+    const fn place(self) -> usize {
+        let column = match self.source {
+            Source::Unit => 0,
+            Source::Component(axis) => 1 + axis as usize,
+        };
+        3 * column + self.axis as usize
+    }
+}
+
 /// How the states of a block move by themselves. Arrays hold one value per state; the rest is ignored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Process {
@@ -272,5 +327,17 @@ impl Block {
             return Err(Error::Config { what, need, got });
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_coupling_has_the_place_where_it_stands() {
+        for (place, coupling) in COUPLINGS.iter().enumerate() {
+            assert_eq!(usize::from(coupling.place()), place, "{coupling:?}");
+        }
     }
 }

@@ -213,10 +213,9 @@ impl<const CAP: usize> Transition<CAP> {
         horner::<E>(&f, (h2, &x.0, &x_last), (h3, &x.0, &x_last), y, y_last);
         horner::<E>(&f, (dt, &x.0, &x_last), (1.0, y, y_last), &mut c.0, &mut c_last);
         let factors = [w_b.x, w_b.y, w_b.z, f_b.x, f_b.y, f_b.z, 1.0, 0.0];
-        for (j, state) in layout.states() {
-            let Some(Act { column, factor }) = state.act else { continue };
+        for (j, Act { column, factor }, a) in layout.acts() {
             let k = usize::from(column).min(COUPLINGS - 1);
-            let (factor, a) = (factors[usize::from(factor & 7)], state.decay);
+            let factor = factors[usize::from(factor & 7)];
             let (mut head, mut tail) = (E::load(&c.0[k]), c_last[k]);
             if a != 0.0 {
                 head = head.madd(E::splat(a), E::load(&y[k]));

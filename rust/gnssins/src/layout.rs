@@ -1,6 +1,6 @@
 //! From an ordered list of blocks to state indices: which state couples where, decays how, is driven by what.
 
-use crate::blocks::{BLOCK_MAX, Block, BlockKind, Coupling, Input, Process, Source};
+use crate::blocks::{BLOCK_MAX, Block, BlockKind, COUPLINGS, Coupling, INERTIAL, Input, Process, Source};
 use crate::error::Error;
 use crate::math;
 use crate::nav::NAV;
@@ -35,34 +35,36 @@ pub(crate) struct Act {
     pub factor: u8,
 }
 
-impl Act {
-    fn of(coupling: Coupling) -> Option<Self> {
-        let (first, Input { axis, source }) = match coupling {
-            Coupling::Gyro(input) => (0, input),
-            Coupling::Accel(input) => (3, input),
-            _ => return None,
-        };
-        let factor = match source {
-            Source::Unit => 6,
-            Source::Component(c) => first + c as u8,
-        };
-        Some(Self { column: first + axis as u8, factor })
+/// By place of the coupling.
+const ACTS: [Act; INERTIAL] = {
+    let mut acts = [Act { column: 0, factor: 0 }; INERTIAL];
+    let mut i = 0;
+    while i < INERTIAL {
+        if let Coupling::Gyro(input) = COUPLINGS[i] {
+            acts[i] = Act::of(0, input);
+        }
+        if let Coupling::Accel(input) = COUPLINGS[i] {
+            acts[i] = Act::of(3, input);
+        }
+        i += 1;
     }
+    acts
+};
 
-    /// Place of the parameter in [`Layout::sensor_errors`].
-    fn place(self) -> u8 {
-        let (sensor, axis) = (self.column / 3, self.column % 3);
-        let column = if self.factor == 6 { 0 } else { 1 + self.factor % 3 };
-        12 * sensor + 3 * column + axis
+impl Act {
+    /// Of the sensor whose axes and components are counted from `first`.
+    const fn of(first: u8, input: Input) -> Self {
+        let factor = match input.source {
+            Source::Unit => 6,
+            Source::Component(axis) => first + axis as u8,
+        };
+        Self { column: first + input.axis as u8, factor }
     }
 }
 
-/// One state behind the navigation errors.
+/// How one state behind the navigation errors moves by itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BlockState {
-    pub coupling: Coupling,
-    /// Errors of inertial sensors only.
-    pub act: Option<Act>,
     /// -1/tau, or 0: 1/s.
     pub decay: f64,
     /// -1/distance, or 0: 1/m.
@@ -90,14 +92,13 @@ struct Placed {
 pub struct Layout<const CAP: usize> {
     n: usize,
     blocks: [Option<Placed>; BLOCKS_MAX],
-    states: [Option<BlockState>; CAP],
-    /// Where the parameters add up in tables of sensor errors: bias and columns of the matrix of the gyros, then of the
-    /// accelerometers; behind them what is none.
+    states: [BlockState; CAP],
+    /// Where the states enter: places in [`COUPLINGS`].
     places: [u8; CAP],
 }
 
-/// Place of what is no error of an inertial sensor.
-const NOWHERE: u8 = 24;
+/// Place of what enters nowhere.
+const NOWHERE: u8 = COUPLINGS.len() as u8;
 
 impl<const CAP: usize> Layout<CAP> {
     /// Lays out a block list.
@@ -116,7 +117,8 @@ impl<const CAP: usize> Layout<CAP> {
                 got: blocks.len() as f64,
             });
         }
-        let mut layout = Self { n, blocks: [None; BLOCKS_MAX], states: [None; CAP], places: [NOWHERE; CAP] };
+        let (states, places) = ([BlockState::NONE; CAP], [NOWHERE; CAP]);
+        let mut layout = Self { n, blocks: [None; BLOCKS_MAX], states, places };
         let mut start = NAV;
         for (slot, block) in layout.blocks.iter_mut().zip(blocks) {
             block.check()?;
@@ -128,13 +130,12 @@ impl<const CAP: usize> Layout<CAP> {
             };
             // at most 9 states and 16 blocks of 6
             *slot = Some(Placed { kind: block.kind, process, start: start as u8 });
-            for (i, state) in layout.states.iter_mut().skip(start).take(block.kind.len()).enumerate() {
-                *state = Some(BlockState::new(block, i));
+            let slots = layout.states.iter_mut().zip(&mut layout.places).skip(start);
+            for (i, (state, place)) in slots.take(block.kind.len()).enumerate() {
+                *state = BlockState::new(block, i);
+                *place = block.kind.coupling(i).place();
             }
             start += block.kind.len();
-        }
-        for (place, state) in layout.places.iter_mut().zip(&layout.states) {
-            *place = state.as_ref().and_then(|s| s.act).map_or(NOWHERE, Act::place);
         }
         Ok(layout)
     }
@@ -177,14 +178,33 @@ impl<const CAP: usize> Layout<CAP> {
             return Some(StateInfo { quantity, axis: NED[i % 3], unit, scale });
         }
         let (kind, start) = self.blocks().find(|(k, start)| (*start..start + k.len()).contains(&i))?;
-        let (axis, state) = (kind.axes().get(i - start)?, self.states.get(i)?.as_ref()?);
+        let (axis, state) = (kind.axes().get(i - start)?, self.states.get(i)?);
         Some(StateInfo { quantity: kind.name(), axis, unit: kind.unit(), scale: state.initial_sd })
     }
 
-    /// Block states with their indices: of a range, so that the compiler knows them below `CAP`.
+    /// Indices of the block states: of a range, so that the compiler knows them below `CAP`.
+    #[inline(always)]
+    fn behind(&self) -> core::ops::Range<usize> {
+        NAV..self.len()
+    }
+
+    /// Block states with their indices.
     #[inline(always)]
     pub(crate) fn states(&self) -> impl Iterator<Item = (usize, &BlockState)> {
-        (NAV..CAP).filter_map(|i| self.states[i].as_ref().map(|s| (i, s)))
+        self.behind().map(|i| (i, &self.states[i]))
+    }
+
+    /// Where the block states enter, with their indices.
+    #[inline(always)]
+    pub(crate) fn couplings(&self) -> impl Iterator<Item = (usize, Coupling)> {
+        self.behind().filter_map(|i| COUPLINGS.get(usize::from(self.places[i])).map(|c| (i, *c)))
+    }
+
+    /// Errors of inertial sensors with their indices and decay rates, 1/s.
+    #[inline(always)]
+    pub(crate) fn acts(&self) -> impl Iterator<Item = (usize, Act, f64)> {
+        self.behind()
+            .filter_map(|i| ACTS.get(usize::from(self.places[i])).map(|act| (i, *act, self.states[i].decay)))
     }
 
     /// Whether the correlation of any state depends on the ground speed.
@@ -200,8 +220,8 @@ impl<const CAP: usize> Layout<CAP> {
     /// Sum of the parameters of all lever-arm blocks, m.
     pub(crate) fn lever_arm(&self, x: &[f64; CAP]) -> Vector3<f64> {
         let mut sum = Vector3::zeros();
-        for (i, s) in self.states() {
-            if let Coupling::LeverArm(axis) = s.coupling {
+        for (i, coupling) in self.couplings() {
+            if let Coupling::LeverArm(axis) = coupling {
                 sum[axis as usize] += x[i];
             }
         }
@@ -211,9 +231,10 @@ impl<const CAP: usize> Layout<CAP> {
     /// Bias and error matrix of the gyros and of the accelerometers that the parameters `x` stand for.
     #[inline(always)]
     pub(crate) fn sensor_errors(&self, x: &[f64; CAP]) -> [SensorError; 2] {
-        let mut sums = [0.0; 32];
-        for (place, x) in self.places.iter().zip(x).take(self.n).skip(NAV) {
-            sums[usize::from(place & 31)] += x;
+        // what is no error of them adds up behind
+        let mut sums = [0.0; INERTIAL + 1];
+        for i in self.behind() {
+            sums[usize::from(self.places[i]).min(INERTIAL)] += x[i];
         }
         [0, 12].map(|first| SensorError {
             bias: Vector3::from_fn(|i, _| sums[first + i]),
@@ -243,6 +264,9 @@ pub(crate) struct SensorError {
 }
 
 impl BlockState {
+    /// Stands where there is none.
+    const NONE: Self = Self { decay: 0.0, decay_per_m: 0.0, drive: 0.0, jump: 0.0, initial_sd: 0.0 };
+
     fn new(block: &Block, i: usize) -> Self {
         let at = |values: &[f64; BLOCK_MAX]| values[i.min(BLOCK_MAX - 1)];
         let (decay, drive) = match &block.process {
@@ -252,8 +276,7 @@ impl BlockState {
         };
         let decay_per_m = if block.distance_m.is_finite() { -1.0 / block.distance_m } else { 0.0 };
         let jump = at(&block.jump_sd) * at(&block.jump_sd);
-        let (initial_sd, coupling) = (at(&block.initial_sd), block.kind.coupling(i));
-        Self { coupling, act: Act::of(coupling), decay, decay_per_m, drive, jump, initial_sd }
+        Self { decay, decay_per_m, drive, jump, initial_sd: at(&block.initial_sd) }
     }
 
     /// Largest standard deviation that the state has by itself: that of the start or of the stationary process, a jump

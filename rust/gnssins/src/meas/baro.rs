@@ -38,7 +38,7 @@ impl Measurement for BaroHeight {
         h_ned[DP + 2] = -1.0;
         let y = view.model.solution().position.height_m - self.height_m;
         let mut rows = Rows::single(view.model, y, &h_ned, self.variance);
-        for (j, _) in view.layout.states().filter(|(_, s)| s.coupling == Coupling::Baro) {
+        for (j, _) in view.layout.couplings().filter(|(_, c)| *c == Coupling::Baro) {
             rows.h[0][j] = -1.0;
             rows.y[0] += view.params[j];
         }

@@ -128,8 +128,8 @@ fn fill<M, const CAP: usize>(rows: &mut Rows<CAP>, row: usize, aid: &Aid, axis: 
     for (j, value) in h.iter_mut().take(NAV).enumerate() {
         *value = aid.h[(axis, j)];
     }
-    for (j, state) in view.layout.states() {
-        match state.coupling {
+    for (j, coupling) in view.layout.couplings() {
+        match coupling {
             Coupling::Gyro(input) => {
                 let factor = match input.source {
                     Source::Unit => 1.0,

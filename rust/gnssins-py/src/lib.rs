@@ -7,6 +7,7 @@ mod engine;
 mod errors;
 mod free;
 mod maths;
+mod monte_carlo;
 mod navigator;
 mod run;
 
@@ -35,6 +36,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(ahrs::ahrs_run, m)?)?;
     m.add_function(wrap_pyfunction!(ahrs::ahrs_flags, m)?)?;
     m.add_class::<navigator::Navigator>()?;
+    m.add_class::<monte_carlo::PyMonteCarlo>()?;
+    m.add_function(wrap_pyfunction!(monte_carlo::monte_carlo_deviates, m)?)?;
     m.add_class::<free::FreeIns>()?;
     m.add_function(wrap_pyfunction!(free::strapdown_three_rate, m)?)?;
     maths::register(m)

@@ -3,8 +3,12 @@
 mod judge;
 mod save;
 mod settings;
+#[cfg(feature = "monte-carlo")]
+mod shared;
 
 pub use settings::{Floor, Gate, Initial, Integrity, Settings, SolutionSd};
+#[cfg(feature = "monte-carlo")]
+pub use shared::Gain;
 
 use nalgebra::{Matrix3, Vector3};
 

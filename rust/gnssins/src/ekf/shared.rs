@@ -1,0 +1,152 @@
+//! Gains computed once, used by many: the state without its covariance.
+//!
+//! Along a nominal trajectory the covariance and the gains hardly depend on the sensor errors of a run. [`Ekf::gain`]
+//! gives the gain of a measurement at the present covariance, [`Ekf::predict_state`] and [`Ekf::update_state`] move
+//! another filter with it: strapdown, innovation and feedback, no covariance, no gates.
+
+use nalgebra::Vector3;
+
+use super::{Ekf, navigation};
+use crate::cov::dot;
+use crate::error::Error;
+use crate::imu::{ImuDelta, Strap};
+use crate::meas::{Measurement, Rows, View};
+use crate::nav::{NAV, NavModel};
+use crate::small::{self, ROWS_MAX, Square};
+
+/// Gain of one measurement of at most six rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gain<const CAP: usize> {
+    len: usize,
+    /// Columns of K = P H' S^-1.
+    columns: [[f64; CAP]; ROWS_MAX],
+    /// Cholesky factor of S = H P H' + R.
+    root: Square,
+}
+
+impl<const CAP: usize> Gain<CAP> {
+    /// Number of rows.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Never.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Normalised square of an innovation.
+    fn nis(&self, y: &[f64; ROWS_MAX]) -> f64 {
+        let mut white = y.map(|y| [y]);
+        small::forward(&self.root, &mut white, self.len);
+        white.iter().take(self.len).map(|w| w[0] * w[0]).sum()
+    }
+}
+
+impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
+    /// Gain that a measurement would have now; the filter stays as it is. `None` where the measurement cannot be used.
+    #[must_use]
+    pub fn gain(&self, measurement: &impl Measurement) -> Option<Gain<CAP>> {
+        let rows = self.rows(measurement)?;
+        let mut cov = self.cov;
+        if let Some(jump) = self.jump.as_ref().filter(|_| measurement.new_constellation()) {
+            cov.add_diagonal(jump);
+        }
+        let (mut s, mut ph) = (rows.r, [[0.0; CAP]; ROWS_MAX]);
+        for i in 0..rows.len {
+            ph[i] = cov.times(&rows.h[i]);
+            for j in 0..=i {
+                let hph = dot::<false, CAP>(&rows.h[j], &ph[i]);
+                s[i][j] += hph;
+                if j < i {
+                    s[j][i] += hph;
+                }
+            }
+        }
+        let root = small::cholesky(&s, rows.len)?;
+        // K' = S^-1 (P H')': forward and back substitution
+        let mut columns = ph;
+        small::forward(&root, &mut columns, rows.len);
+        for i in (0..rows.len).rev() {
+            for j in i + 1..rows.len {
+                let (head, tail) = columns.split_at_mut(j);
+                head[i].iter_mut().zip(&tail[0]).for_each(|(x, y)| *x -= root[j][i] * y);
+            }
+            columns[i].iter_mut().for_each(|x| *x /= root[i][i]);
+        }
+        Some(Gain { len: rows.len, columns, root })
+    }
+
+    /// As [`Ekf::predict`], without the covariance.
+    ///
+    /// # Errors
+    /// As [`Ekf::predict`].
+    pub fn predict_state(
+        &mut self,
+        t_ns: i64,
+        dtheta: &Vector3<f64>,
+        dvel: &Vector3<f64>,
+    ) -> Result<(), Error> {
+        let dt_s = self.interval_s(t_ns)?;
+        let delta = ImuDelta {
+            dt_s,
+            dtheta: self.sensors[0].increment(dtheta, dt_s),
+            dvel: self.sensors[1].increment(dvel, dt_s),
+        };
+        let strap = Strap::compensated(&delta, self.previous.as_ref(), self.settings.coning);
+        self.model.step(&strap).map_err(|e| super::at_time(e, t_ns))?;
+        let speed_m_s = if self.spatial {
+            let v_n = self.model.solution().v_n;
+            crate::math::hypot(v_n.x, v_n.y)
+        } else {
+            0.0
+        };
+        self.block_step.fit(&self.layout, dt_s, speed_m_s);
+        if self.block_step.decays {
+            for (p, d) in self.params.iter_mut().zip(&self.block_step.diagonal) {
+                *p *= d;
+            }
+            self.refresh_sensors()?;
+        }
+        self.t_ns = t_ns;
+        self.previous = Some(delta);
+        self.w_ib_b = delta.dtheta / dt_s;
+        Ok(())
+    }
+
+    /// Corrects the state by a given gain, without tests and without the covariance; gives the NIS by the covariance that
+    /// the gain was made with, or `None` where the measurement has other rows or cannot be used.
+    ///
+    /// # Errors
+    /// What the correction of the sensors refuses.
+    pub fn update_state(
+        &mut self,
+        measurement: &impl Measurement,
+        gain: &Gain<CAP>,
+    ) -> Result<Option<f64>, Error> {
+        let Some(rows) = self.rows(measurement).filter(|rows| rows.len == gain.len) else { return Ok(None) };
+        let mut x = [0.0; CAP];
+        for (k, y) in gain.columns.iter().zip(&rows.y).take(rows.len) {
+            x.iter_mut().zip(k).for_each(|(x, k)| *x += k * y);
+        }
+        self.model.correct(&navigation(&x));
+        for (p, x) in self.params.iter_mut().zip(&x).skip(NAV) {
+            *p += x;
+        }
+        self.refresh_sensors()?;
+        Ok(Some(gain.nis(&rows.y)))
+    }
+
+    fn rows(&self, measurement: &impl Measurement) -> Option<Rows<CAP>> {
+        let view = View {
+            model: &self.model,
+            layout: &self.layout,
+            params: &self.params,
+            lever_b_m: self.settings.lever_b_m + self.layout.lever_arm(&self.params),
+            w_ib_b: self.w_ib_b,
+        };
+        measurement.rows(&view).ok().filter(|rows| rows.len <= ROWS_MAX)
+    }
+}

@@ -185,6 +185,8 @@ impl Plan {
             let turn = c_ne(position.lat_rad, position.lon_rad) * true_axes.transpose();
             q_nb = attitude::from_dcm(&turn) * q_nb;
         }
+        // of unit length to the last digit: whoever is handed the state normalises it to the same numbers
+        let q_nb = UnitQuaternion::new_normalize(q_nb.into_inner());
         let solution = Solution { position, v_n: truth.v_n + dv, q_nb };
         (Initial { solution, ..self.initial }, [phi, dv, dp])
     }

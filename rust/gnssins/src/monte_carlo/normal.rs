@@ -161,7 +161,7 @@ fn small_integer(x: u64) -> f64 {
 fn ln(x: f64) -> f64 {
     const ONE: u64 = 0x3ff0_0000_0000_0000;
     const ROOT_HALF: u64 = 0x3fe6_a09e_667f_3bcd;
-    let shifted = x.to_bits() - ROOT_HALF + ONE;
+    let shifted = x.to_bits() + (ONE - ROOT_HALF);
     // the exponent of x / sqrt(1/2) with its bias of 1023
     let k = small_integer(shifted >> 52) - (1023.0 + 32.0);
     let m = f64::from_bits((shifted & 0x000f_ffff_ffff_ffff) + ROOT_HALF);

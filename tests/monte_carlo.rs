@@ -74,7 +74,8 @@ fn plan() -> Plan {
         ..Gnss::default()
     };
     let feed = fixes.iter().enumerate().filter(|(_, k)| !(600..800).contains(*k));
-    let feed = feed.map(|(index, &k)| Feed { source: Source::Gnss, index, t_ns: t_ns[k], new_constellation: false });
+    let feed =
+        feed.map(|(index, &k)| Feed { source: Source::Gnss, index, t_ns: t_ns[k], new_constellation: false });
     let triad = |density: f64| Triad { density: [density; 3], ..Triad::default() };
     let errors = vec![
         SensorError {
@@ -226,10 +227,7 @@ fn what_does_not_fit_is_refused() {
     assert_eq!(refused(&|p| p.truths[0] = Some(99), full), "plan: true error");
     assert_eq!(refused(&|p| p.groups[0][0] = 15, full), "plan: state of a group");
     assert_eq!(refused(&|p| p.truths.truncate(2), full), "plan: block states");
-    assert_eq!(
-        refused(&|p| p.filter.stream.input = ImuInput::Rates, full),
-        "imu.input (number of the kind)"
-    );
+    assert_eq!(refused(&|p| p.filter.stream.input = ImuInput::Rates, full), "imu.input (number of the kind)");
     let slow = |p: &mut Plan| p.filter.settings.feedback_ns = 1;
     assert_eq!(refused(&slow, Mode::Shared), "filter.feedback_interval (ns)");
 }
@@ -298,7 +296,10 @@ fn processes_have_the_covariances_of_their_laws() {
         }
         let grown = 1.0 + 9.0 * at as f64 * dt;
         let got = covariance(&walk, at, lag, runs);
-        assert!((got - grown).abs() < 0.12 * (grown * (grown + 9.0 * lag as f64 * dt)).sqrt(), "{got} {grown}");
+        assert!(
+            (got - grown).abs() < 0.12 * (grown * (grown + 9.0 * lag as f64 * dt)).sqrt(),
+            "{got} {grown}"
+        );
         assert!((covariance(&constant, at, lag, runs) - sd * sd).abs() < 0.1 * sd * sd);
     }
 }
@@ -309,7 +310,8 @@ fn noise_behind_a_low_pass_has_the_variances_of_its_closed_form() {
     let corner_hz = 10.0;
     let n = 4096;
     let density = 0.3;
-    let triad = Triad { density: [density; 3], low_pass: Some(LowPass::new(corner_hz, DT_S)), ..Triad::default() };
+    let triad =
+        Triad { density: [density; 3], low_pass: Some(LowPass::new(corner_hz, DT_S)), ..Triad::default() };
     let imu = Imu {
         dt_s: vec![[DT_S; BLOCK]; n / BLOCK],
         exact: [vec![[[0.0; BLOCK]; 3]; n / BLOCK], vec![[[0.0; BLOCK]; 3]; n / BLOCK]],
@@ -376,7 +378,10 @@ fn nees_and_nis_are_those_of_a_filter_that_knows_its_errors() {
             at += sums.gaps[0].runs;
         }
         let [all, navigation, gyro] = nees;
-        assert!((all - 15.0).abs() < 1.2 && (navigation - 9.0).abs() < 0.9 && (gyro - 3.0).abs() < 0.6, "{nees:?}");
+        assert!(
+            (all - 15.0).abs() < 1.2 && (navigation - 9.0).abs() < 0.9 && (gyro - 3.0).abs() < 0.6,
+            "{nees:?}"
+        );
         assert!((nis.0 / nis.1 as f64 - 6.0).abs() < 0.25, "{nis:?}");
         assert_eq!(at, u64::from(runs));
         assert!((ratio / (9.0 * at as f64) - 1.0).abs() < 0.25, "{ratio}");

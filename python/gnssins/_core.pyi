@@ -288,9 +288,7 @@ class MonteCarlo:
     CHUNK: ClassVar[int]
 
     def __new__(cls, engine_json: str, spec_json: str, columns: Mapping[str, Any]) -> MonteCarlo: ...
-    def run(
-        self, first: int, last: int, jobs: int, take: Callable[[int, dict[str, Any]], object]
-    ) -> None:
+    def run(self, first: int, last: int, jobs: int, take: Callable[[int, dict[str, Any]], object]) -> None:
         """Go through runs ``first`` .. ``last - 1`` on threads, the GIL released.
 
         ``take`` gets the first run and the sums of every chunk, in order and in the calling thread; it may raise.

@@ -187,8 +187,8 @@ def reproduce(
 @app.command(
     epilog="Example: gnssins montecarlo fomichev-tan-2017 --variant gaps --runs 1000 --after 600 --store sweep.npz",
     help="Simulate, filter and compare a scenario many times: accuracy, and whether the filter knows its errors.\n\n"
-    "Runs on all cores inside the compiled core; the figures do not depend on the number of threads. Ctrl-C prints what "
-    "is finished; with --store the same command goes on from there.",
+    "Runs on all cores inside the compiled core; the figures do not depend on the number of threads. Ctrl-C prints "
+    "what is finished; with --store the same command goes on from there.",
 )
 def montecarlo(
     scenario: Annotated[
@@ -221,9 +221,7 @@ def montecarlo(
     """Simulate, filter and compare a scenario many times."""
     from gnssins.commands import sweeping
 
-    sweeping.montecarlo(
-        scenario, config, variant, runs, seed, jobs, covariance, after, store, out, json
-    )
+    sweeping.montecarlo(scenario, config, variant, runs, seed, jobs, covariance, after, store, out, json)
 
 
 @app.command(

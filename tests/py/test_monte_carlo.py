@@ -1,8 +1,10 @@
-"""Monte Carlo in the core: the simulated sensors against those in Python, sums against runs, order, stores, executors."""
+"""Monte Carlo in the core: its sensors against those in Python, sums against runs, order, stores, executors."""
 
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
@@ -68,7 +70,13 @@ EVERYTHING = {
             {"kind": "gyro_bias", "name": "fixed", "unit": "deg/h", "value": [10.0, -5.0, 3.0]},
             {"kind": "gyro_scale", "process": "random_walk", "unit": "ppm", "initial_sd": 50.0, "walk": 9.0},
             {"kind": "gyro_misalignment", "unit": "mrad", "initial_sd": 1.0},
-            {"kind": "accel_misalignment", "process": "gauss_markov", "unit": "mrad", "sd": 2.0, "tau_s": 9.0},
+            {
+                "kind": "accel_misalignment",
+                "process": "gauss_markov",
+                "unit": "mrad",
+                "sd": 2.0,
+                "tau_s": 9.0,
+            },
         ],
     },
     "gnss": {
@@ -125,7 +133,9 @@ def test_with_equal_deviates_the_core_simulates_what_python_simulates(name, monk
     assert list(made.truth_blocks) == list(wanted.truth_blocks)
     for block, values in wanted.truth_blocks.items():
         # 300 000 steps of a process carry the last digit of its factor along
-        assert np.allclose(made.truth_blocks[block], values, rtol=0.0, atol=1e-9 * np.abs(values).max()), block
+        assert np.allclose(made.truth_blocks[block], values, rtol=0.0, atol=1e-9 * np.abs(values).max()), (
+            block
+        )
     assert np.allclose(made.initial_error, wanted.initial_error, rtol=1e-14)
     assert np.allclose(made.initial.lla, wanted.initial.lla, rtol=0.0, atol=2e-15 * 1e6)
     assert np.allclose(made.initial.q_nb, wanted.initial.q_nb, rtol=0.0, atol=1e-15)
@@ -167,7 +177,9 @@ def test_a_run_by_itself_has_the_errors_that_the_set_counts(name):
     simulated = simulated_run(sim, SEED, 1)
     result = run(settings, simulated)
     found = compare(result, simulated.truth, ellipsoid=str(result.metadata["ellipsoid"])).between(after_s)
-    rms = np.concatenate([np.sqrt(np.mean(e**2, axis=0)) for e in (found.position, found.velocity, found.phi)])
+    rms = np.concatenate(
+        [np.sqrt(np.mean(e**2, axis=0)) for e in (found.position, found.velocity, found.phi)]
+    )
     # the compared longitudes are wrapped here, which costs them a digit
     assert np.allclose(two[1].run_rms[1], rms, rtol=1e-12, atol=[0, 2e-9, 0, *[1e-15] * 6])
     one = nees(result, simulated.truth, Parameters.of(simulated))
@@ -250,6 +262,19 @@ def test_the_executor_of_a_dask_client_gives_the_same_bits():
     ):
         found = monte_carlo("static", runs=9, seed=2, executor=client.get_executor())
     assert equal(found, monte_carlo("static", runs=9, seed=2))
+
+
+def test_many_runs_need_no_more_memory_than_a_few():
+    # GIVEN a process each, THEN the peak of 400 runs lies within 4 MB of that of 8
+    code = (
+        "import gnssins, resource, sys; gnssins.monte_carlo('static', runs=int(sys.argv[1]), jobs=2); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    peaks_kb = [
+        int(subprocess.run([sys.executable, "-c", code, runs], check=True, capture_output=True).stdout)
+        for runs in ("8", "400")
+    ]
+    assert peaks_kb[1] - peaks_kb[0] < 4096, peaks_kb
 
 
 # ---- breaks
@@ -341,9 +366,9 @@ def test_figures_out_of_range_are_refused():
         monte_carlo(simulator(), quick(start_s=100.0), 2)
     with pytest.raises(InputError, match="no epoch of comparison after after_s = 1000 s"):
         monte_carlo("static", runs=2, after_s=1000.0)
+    slow = quick().to_dict()
+    slow["filter"]["feedback_interval_s"] = 5.0
     with pytest.raises(ConfigError, match="feedback_interval"):
-        slow = quick().to_dict()
-        slow["filter"]["feedback_interval_s"] = 5.0
         monte_carlo(simulator(), slow, 2, covariance="shared")
 
 
@@ -374,7 +399,9 @@ def test_shared_covariance_does_not_hold_for_a_large_heading_error():
     def excess(heading_sd_deg: float):
         tables["initial_error"]["attitude_sd_deg"] = [1.0, 1.0, heading_sd_deg]
         sim = Simulator(scenario_from_dict(tables))
-        settings = Config.from_dict(scenario_config(simulated_run(sim))).replace(gnss={"gate_probability": "off"})
+        settings = Config.from_dict(scenario_config(simulated_run(sim))).replace(
+            gnss={"gate_probability": "off"}
+        )
         full, shared = (
             monte_carlo(sim, settings, 24, seed=1, covariance=mode).velocity for mode in ("full", "shared")
         )

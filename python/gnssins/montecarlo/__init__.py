@@ -172,11 +172,11 @@ def simulated_run(scenario: Source, seed: int = 0, run: int = 0) -> Simulated:
     imu = ImuTable(path.t_ns[1:], made["gyro"], made["accel"], "increments")
     meta = {"scenario": source.name, "variant": simulator.variant, "seed": seed, "run": run}
     start = nominal_start(simulator)
-    state = (np.array(made[key]) for key in ("lla", "v_n", "q_nb"))
+    lla, v_n, q_nb = (np.array(made[key]) for key in ("lla", "v_n", "q_nb"))
     histories = made["true_errors"][:: simulator.truth_step]
     return Simulated(
         dataset=Dataset(imu, gnss, simulator.truth, meta=meta, baro=baro, heading=heading),
-        initial=InitialState(start.t_ns, *state, start.sd_phi, start.sd_v, start.sd_p),
+        initial=InitialState(start.t_ns, lla, v_n, q_nb, start.sd_phi, start.sd_v, start.sd_p),
         initial_error=np.array(made["initial_error"]),
         truth_blocks={name: histories[:, list(at)] for name, at in truth_columns(source).items()},
         scenario=source,

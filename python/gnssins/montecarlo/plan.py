@@ -44,7 +44,7 @@ _SOURCES: Final = ("gnss", "baro", "heading")
 
 @dataclass(frozen=True)
 class Job:
-    """A Monte Carlo as plain text and numbers: what a worker elsewhere needs, and what a stored sweep must agree with."""
+    """A Monte Carlo as plain text and numbers: what a worker elsewhere needs, and a stored sweep must agree with."""
 
     scenario: str
     outages: tuple[tuple[float, float], ...]

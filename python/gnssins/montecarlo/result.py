@@ -134,7 +134,9 @@ class MonteCarlo:
         ]
         share = "" if self.complete else f" of {self.asked}, interrupted"
         common = ", one covariance for all" if self.covariance == "shared" else ""
-        title = f"Root mean square of {self.runs} runs{share}, t > {self.after_s:g} s (seed {self.seed}{common})"
+        title = (
+            f"Root mean square of {self.runs} runs{share}, t > {self.after_s:g} s (seed {self.seed}{common})"
+        )
         parts = [text.table(title, ["", *_AXES], rows)]
         parts.append(self.nees.after(self.after_s).table())
         if self.nis_by_source.groups:
@@ -173,34 +175,33 @@ class MonteCarlo:
 
 
 class Sums:
-    """Sums over the chunks so far, added in their order."""
+    """Sums over the chunks so far, added in their order: those of ``runs`` runs."""
 
     def __init__(self) -> None:
         self.values: dict[str, NDArray[Any]] = {}
-        self._runs: list[Array] = []
-
-    @property
-    def runs(self) -> int:
-        """Runs so far."""
-        return sum(len(rows) for rows in self._runs)
+        self.runs = 0
+        self._rows: list[Array] = []
 
     def add(self, chunk: Mapping[str, Any]) -> None:
         """Add the sums of a chunk, as the core gives them."""
-        self._runs.append(np.asarray(chunk["runs"]))
+        rows = np.asarray(chunk["runs"])
+        self._rows.append(rows)
+        self.runs += len(rows)
         for name, value in chunk.items():
             if name != "runs":
                 self.values[name] = self.values[name] + value if name in self.values else np.array(value)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Give everything as arrays by name."""
-        return {**self.values, "runs": np.concatenate(self._runs) if self._runs else np.zeros((0, 9))}
+        return {**self.values, "runs": np.concatenate([np.zeros((0, 9)), *self._rows])}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Sums:
         """Take back what :meth:`to_arrays` gave."""
         sums = cls()
         sums.values = {name: value for name, value in arrays.items() if name != "runs"}
-        sums._runs = [arrays["runs"]]
+        sums._rows = [arrays["runs"]]
+        sums.runs = len(arrays["runs"])
         return sums
 
     def result(self, job: Job, prepared: Prepared, asked: int, wall_s: float, computed: int) -> MonteCarlo:

@@ -118,6 +118,15 @@ class Simulator:
         Unknown scenario or variant, or a wrong scenario.
     MissingFileError
         No such file.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        With the tables of the variant.
+    outages : tuple of (from, to)
+        Times without fixes, s.
+    truth_step : int
+        IMU samples from one row of the truth table to the next.
     """
 
     def __init__(

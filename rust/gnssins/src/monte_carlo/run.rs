@@ -114,15 +114,7 @@ impl<M: NavModel, const CAP: usize> Feeder for Full<'_, M, CAP> {
         }
         let sd = self.ledger.wants_sd(self.plan.t_ns[epoch.row]).then(|| ekf.solution_sd());
         let params = &ekf.params()[NAV..n];
-        self.ledger.epoch(
-            epoch,
-            &ekf.solution(),
-            params,
-            true_errors,
-            self.groups,
-            Some(&self.claim),
-            sd.as_ref(),
-        );
+        self.ledger.epoch(epoch, &ekf.solution(), params, true_errors, Some(&self.claim), sd.as_ref());
     }
 }
 
@@ -136,7 +128,8 @@ pub(super) fn full<M: NavModel, const CAP: usize>(
     let (deviates, values) = draw(plan, run);
     let (initial, _) = plan.start(&deviates);
     let navigator = Navigator::new(filter::<M, CAP>(plan, &initial)?, plan.filter.stream);
-    let mut to = Full { plan, groups, navigator, ledger: Ledger::new(plan, sums), claim: Claim::default() };
+    let mut to =
+        Full { plan, groups, navigator, ledger: Ledger::new(plan, groups, sums), claim: Claim::default() };
     feed(plan, &plan.imu, deviates, &values, &mut to)?;
     let Full { mut navigator, mut ledger, .. } = to;
     navigator.finish(&mut ledger);
@@ -334,7 +327,6 @@ impl<M: NavModel, const CAP: usize> Splitting for Shared<'_, M, CAP> {
 
 struct SharedFeeder<'p, M, const CAP: usize> {
     plan: &'p Plan,
-    groups: &'p Groups,
     waiting: Waiting,
     shared: Shared<'p, M, CAP>,
 }
@@ -357,7 +349,7 @@ impl<M: NavModel, const CAP: usize> Feeder for SharedFeeder<'_, M, CAP> {
         let sd = ledger.wants_sd(self.plan.t_ns[epoch.row]).then_some(&nominal.sds[k]);
         let params = &ekf.params()[NAV..ekf.layout().len()];
         let claim = Some(&nominal.claims[k]);
-        ledger.epoch(epoch, &ekf.solution(), params, true_errors, self.groups, claim, sd);
+        ledger.epoch(epoch, &ekf.solution(), params, true_errors, claim, sd);
     }
 }
 
@@ -372,8 +364,8 @@ pub(super) fn shared<M: NavModel, const CAP: usize>(
     let (deviates, values) = draw(plan, run);
     let (initial, _) = plan.start(&deviates);
     let ekf = filter::<M, CAP>(plan, &initial)?;
-    let shared = Shared { nominal, ekf, ledger: Ledger::new(plan, sums), counts: Default::default() };
-    let mut to = SharedFeeder { plan, groups, waiting: Waiting::default(), shared };
+    let shared = Shared { nominal, ekf, ledger: Ledger::new(plan, groups, sums), counts: Default::default() };
+    let mut to = SharedFeeder { plan, waiting: Waiting::default(), shared };
     feed(plan, &plan.imu, deviates, &values, &mut to)?;
     let Shared { ledger, mut counts, .. } = to.shared;
     for aid in &to.waiting.aids {

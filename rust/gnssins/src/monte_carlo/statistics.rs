@@ -162,6 +162,7 @@ fn factorise<const CAP: usize>(p: &[[f64; CAP]; CAP], sd: &[f64], states: &[usiz
 /// Sums on their way through a run.
 pub(super) struct Ledger<'p> {
     plan: &'p Plan,
+    groups: &'p Groups,
     pub sums: &'p mut Sums,
     run: Nine,
     /// Epochs of the covariance seen.
@@ -172,9 +173,10 @@ pub(super) struct Ledger<'p> {
 }
 
 impl<'p> Ledger<'p> {
-    pub fn new(plan: &'p Plan, sums: &'p mut Sums) -> Self {
+    pub fn new(plan: &'p Plan, groups: &'p Groups, sums: &'p mut Sums) -> Self {
         let gaps = plan.gaps.len();
-        Self { plan, sums, run: [0.0; 9], nees_epoch: 0, ends: vec![None; gaps], open: vec![true; gaps] }
+        let (ends, open) = (vec![None; gaps], vec![true; gaps]);
+        Self { plan, groups, sums, run: [0.0; 9], nees_epoch: 0, ends, open }
     }
 
     /// Whether standard deviations are wanted at a time, ns.
@@ -190,7 +192,6 @@ impl<'p> Ledger<'p> {
         estimate: &Solution,
         params: &[f64],
         true_errors: &[f64],
-        groups: &Groups,
         claim: Option<&Claim>,
         sd: Option<&SolutionSd>,
     ) {
@@ -222,7 +223,7 @@ impl<'p> Ledger<'p> {
             let known = self.plan.truths.iter().zip(params);
             x.extend(known.map(|(column, p)| column.map_or(f64::NAN, |c| true_errors[c] - p)));
             let width = self.plan.groups.len();
-            claim.add_nees(groups, &x, &mut self.sums.nees[k * width..(k + 1) * width]);
+            claim.add_nees(self.groups, &x, &mut self.sums.nees[k * width..(k + 1) * width]);
         }
     }
 

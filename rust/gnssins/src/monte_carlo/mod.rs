@@ -15,6 +15,7 @@ pub mod normal;
 pub mod plan;
 pub mod process;
 mod run;
+mod shared;
 mod statistics;
 
 use core::ops::{ControlFlow, Range};
@@ -32,7 +33,7 @@ use crate::imu::ImuInput;
 use crate::nav::NavModel;
 use aids::AidValues;
 use nalgebra::Vector3;
-use run::Nominal;
+use shared::Nominal;
 use statistics::Groups;
 
 /// Runs whose sums are taken together.
@@ -159,7 +160,7 @@ impl<M: NavModel + Send + Sync, const CAP: usize> MonteCarlo<M, CAP> {
         for run in runs {
             let done = match &self.nominal {
                 None => run::full::<M, CAP>(&self.plan, &self.groups, run, &mut sums),
-                Some(nominal) => run::shared::<M, CAP>(&self.plan, &self.groups, nominal, run, &mut sums),
+                Some(nominal) => shared::shared::<M, CAP>(&self.plan, &self.groups, nominal, run, &mut sums),
             };
             done.map_err(|error| Failure { run, error })?;
         }

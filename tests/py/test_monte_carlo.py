@@ -304,9 +304,16 @@ def test_an_interrupt_keeps_the_finished_runs_and_the_store_goes_on(tmp_path):
 
 
 def test_ctrl_c_ends_a_set_early():
-    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    found = monte_carlo(simulator(), quick(), 5000, seed=3)
+    # GIVEN a signal shortly after the first chunk, while the core is at work without the GIL
+    timer = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
+    began: list[float] = []
+
+    def begin(share: float) -> None:
+        if not began:
+            timer.start()
+        began.append(share)
+
+    found = monte_carlo(simulator(), quick(), 5000, seed=3, progress=begin)
     timer.join()
     assert not found.complete
     assert found.runs % _core.MonteCarlo.CHUNK == 0

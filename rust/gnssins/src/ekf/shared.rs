@@ -7,7 +7,6 @@
 use nalgebra::Vector3;
 
 use super::{Ekf, navigation};
-use crate::cov::dot;
 use crate::error::Error;
 use crate::imu::{ImuDelta, Strap};
 use crate::meas::{Measurement, Rows, View};
@@ -52,13 +51,15 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let rows = self.rows(measurement)?;
         let mut cov = self.cov;
         if let Some(jump) = self.jump.as_ref().filter(|_| measurement.new_constellation()) {
-            cov.add_diagonal(jump);
+            for (i, variance) in jump.iter().enumerate().take(cov.len()) {
+                cov.set(i, i, cov.get(i, i) + variance);
+            }
         }
         let (mut s, mut ph) = (rows.r, [[0.0; CAP]; ROWS_MAX]);
         for i in 0..rows.len {
             ph[i] = cov.times(&rows.h[i]);
             for j in 0..=i {
-                let hph = dot::<false, CAP>(&rows.h[j], &ph[i]);
+                let hph: f64 = rows.h[j].iter().zip(&ph[i]).map(|(h, p)| h * p).sum();
                 s[i][j] += hph;
                 if j < i {
                     s[j][i] += hph;

@@ -96,9 +96,27 @@ format:  ## rewrite all sources in the house format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-.PHONY: bench
-bench:  ## speed of the engine (Criterion)
+# Packages that are compared with have an environment of their own.
+BENCH_VENV ?= .venv-bench
+COUNTS := $(TARGET_DIR)/counts
+
+$(BENCH_VENV)/.stamp: benches/others.txt $(VENV)/.stamp-pip
+	$(BIN)/python -m venv $(BENCH_VENV)
+	$(BENCH_VENV)/bin/python -m pip install --quiet -r $<
+	@touch $@
+
+.PHONY: bench bench-counts counts
+bench: build counts $(BENCH_VENV)/.stamp  ## speed of the engine and of whole runs, beside others: benches/RESULTS.md
 	$(CARGO) bench $(LOCKED)
+	$(BIN)/python benches/bench.py --criterion $(TARGET_DIR)/criterion --counts $(COUNTS) \
+	  --others $(BENCH_VENV)/bin/python --out benches/RESULTS.md
+
+bench-counts: counts $(VENV)/.stamp-pip  ## instructions of every part of the engine (valgrind)
+	$(BIN)/python benches/bench.py --counts $(COUNTS)
+
+counts:
+	@$(CARGO) bench $(LOCKED) --bench counts --no-run --message-format json-render-diagnostics \
+	  | sed -n 's/.*"executable":"\([^"]*counts-[^"]*\)".*/\1/p' | xargs -I{} cp {} $(COUNTS)
 
 # ---------------------------------------------------------------------------- hand out
 
@@ -118,8 +136,8 @@ clean:  ## remove everything built, keep .venv
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	rm -f $(VENV)/.stamp-core
 
-distclean: clean  ## clean, and remove .venv
-	rm -rf $(VENV)
+distclean: clean  ## clean, and remove .venv and .venv-bench
+	rm -rf $(VENV) $(BENCH_VENV)
 
 .PHONY: help
 help:  ## this list

@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 fn system_matrix(blocks: &[Block], states: usize) -> DMatrix<f64> {
     let d = dynamics();
     let mut f = DMatrix::zeros(states, states);
-    f.view_mut((0, 0), (9, 9)).copy_from(&d.f);
+    f.view_mut((0, 0), (9, 9)).copy_from(&d.f());
     let (mut j, pairs) = (9, [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]);
     for block in blocks {
         for i in 0..block.kind.len() {

@@ -304,7 +304,7 @@ fn check_point<M: NavModel>(p: &Value, what: &str) {
         assert_blocks(got, &matrix(&golden[key]), 1e-9, &format!("{what} {key}"))
     };
     let d = model.dynamics(&three(&p["f_b"]));
-    near(&dynamic(&d.f), "f");
+    near(&dynamic(&d.f()), "f");
     near(&dynamic(&d.gyro_coupling()), "gyro");
     near(&dynamic(&d.accel_coupling()), "accel");
     let (lever, w) = (three(&p["lever_b"]), three(&p["w_ib_b"]));

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from gnssins.io import read_dataset
     from gnssins.montecarlo import MonteCarlo, monte_carlo, simulated_run
     from gnssins.navigator import Navigator
+    from gnssins.pieces import run_pieces
     from gnssins.result import Result
     from gnssins.runner import run
     from gnssins.sim import Simulated, Simulator, simulate
@@ -60,6 +61,7 @@ __all__ = [
     "reproduce",
     "result",
     "run",
+    "run_pieces",
     "separated",
     "sim",
     "simulate",
@@ -88,6 +90,7 @@ _HOME = {
     "preset_names": "config",
     "read_dataset": "io",
     "run": "runner",
+    "run_pieces": "pieces",
     "separated": "uncoupled",
     "simulate": "sim",
     "simulated_run": "montecarlo",

@@ -1,19 +1,21 @@
 """Compiled core: SI units, radians, int64 nanoseconds; body axes forward-right-down, navigation axes NED.
 
-Arrays are copied in. Quaternions are scalar first and take body vectors to NED. Every function raises the
-classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigError`` for values.
+Arrays are copied in, the IMU log block by block. Quaternions are scalar first and take body vectors to NED. Every
+function raises the classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigError`` for values.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NotRequired, TypedDict, final
+from typing import Any, ClassVar, NotRequired, Self, TypedDict, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from typing_extensions import disjoint_base
 
 __all__ = [
     "FreeIns",
     "MonteCarlo",
     "Navigator",
+    "Run",
     "ahrs_flags",
     "ahrs_run",
     "aiding_jacobians",
@@ -94,7 +96,7 @@ class _Linearised(TypedDict):
     lla: _F
     q_nb: _F
 
-class _Run(TypedDict):
+class _Track(TypedDict):
     t_ns: _I
     lla: _F
     v_n: _F
@@ -103,9 +105,13 @@ class _Run(TypedDict):
     sd: _F
     x: _F
     x_sd: _F
-    states: list[_State]
+
+class _Columns(_Track):
     cov_t_ns: _I
     cov: _F
+
+class _About(TypedDict):
+    states: list[_State]
     meas: _Measurements
     baro: _AidMeasurements
     heading: _AidMeasurements
@@ -113,6 +119,8 @@ class _Run(TypedDict):
     events: list[_Event]
     counts: dict[str, dict[str, int]]
     final_state: bytes
+
+class _Run(_Columns, _About): ...
 
 class _NavigatorState(TypedDict):
     t_ns: int
@@ -225,39 +233,78 @@ def ahrs_flags() -> list[tuple[str, int]]:
     """Names of the flags of :func:`ahrs_run` and their bits."""
 
 @final
+class Run:
+    """A run whose IMU log comes in pieces: the pieces of :func:`run` with the same bits, whatever their lengths.
+
+    Arguments and dictionaries as for :func:`run`. The share of bad rows is not looked at.
+    """
+
+    def __new__(
+        cls,
+        config_json: str,
+        gnss_t_ns: _I,
+        gnss_pos: _F,
+        gnss_vel: _F,
+        gnss_var: _F,
+        *,
+        gnss_new: NDArray[np.bool_] | None = None,
+        baro: tuple[_I, _F, _F] | None = None,
+        heading: tuple[_I, _F, _F] | None = None,
+    ) -> Run: ...
+    def states(self) -> list[_State]:
+        """Name, unit, block and kind of every error state."""
+
+    def imu(self, t_ns: _I, gyro: _F, accel: _F) -> _Columns:
+        """Take the next rows of the IMU log; return the epochs and covariances that they give."""
+
+    def finish(self) -> _About:
+        """End the log; return everything that is not a column over time."""
+
+@disjoint_base
 class Navigator:
-    """A filter fed row by row; gives the same bits as :func:`run` on the same rows in time order."""
+    """A filter fed row by row; gives the same bits as :func:`run` on the same rows in time order.
 
-    def __new__(cls, config_json: str) -> Navigator: ...
-    def imu(self, t_ns: int, gyro: _Vector, accel: _Vector) -> None:
-        """Feed an IMU row: stamp (ns), three rates or increments, three specific forces or increments."""
+    Times are seconds as float, nanoseconds as int. The public class :class:`gnssins.Navigator` is made of this one.
+    """
 
-    def gnss(
+    def __new__(cls, config_json: str) -> Self: ...
+    def imu(self, t: float | int, gyro: ArrayLike, accel: ArrayLike) -> None:
+        """Take one IMU row: stamp, three rates or increments, three specific forces or increments."""
+
+    def imu_xyz(
+        self, t: float | int, wx: float, wy: float, wz: float, fx: float, fy: float, fz: float
+    ) -> None:
+        """Take one IMU row as six numbers."""
+
+    def _imu_many(self, t_ns: _I, gyro: _F, accel: _F, interval_ns: int | None = None) -> _Track:
+        """Take rows (n,), (n, 3), (n, 3); return the estimates at the spacing, all for 0, none for None."""
+
+    def _gnss(
         self,
-        t_ns: int,
-        pos: _Vector | None,
-        vel: _Vector | None,
-        var: _Vector,
+        t: float | int,
+        pos: ArrayLike | None,
+        vel: ArrayLike | None,
+        var: ArrayLike,
         new_constellation: bool = False,
     ) -> None:
-        """Feed a GNSS row: stamp (ns), latitude, longitude (rad), height (m), velocity NED (m/s), variances."""
+        """Take a fix: stamp, latitude, longitude (rad), height (m), velocity NED (m/s), variances (6,) or (6, 6)."""
 
-    def baro(self, t_ns: int, height_m: float, variance: float) -> None:
-        """Feed a barometric height: stamp (ns), height (m), variance of its white noise (m²)."""
+    def _baro(self, t: float | int, height_m: float, variance: float) -> None:
+        """Take a barometric height: stamp, height (m), variance of its white noise (m²)."""
 
-    def heading(self, t_ns: int, heading_rad: float, variance: float) -> None:
-        """Feed a heading of the forward axis: stamp (ns), heading (rad), variance (rad²)."""
+    def _heading(self, t: float | int, heading_rad: float, variance: float) -> None:
+        """Take a heading of the forward axis: stamp, heading (rad), variance (rad²)."""
 
     def finish(self) -> None:
         """End a log: fixes that still wait for an IMU row are counted as late."""
 
-    def state(self) -> _NavigatorState:
+    def _state(self) -> _NavigatorState:
         """Return the present solution, its standard deviations and the block states."""
 
-    def states(self) -> list[_State]:
+    def _states(self) -> list[_State]:
         """Name, unit, block and kind of every error state."""
 
-    def cov(self) -> _F:
+    def _cov(self) -> _F:
         """Covariance of the error states along NED, shape (n, n)."""
 
     def save(self) -> bytes:
@@ -266,13 +313,13 @@ class Navigator:
     def restore(self, saved: bytes) -> None:
         """Restore what a navigator of the same configuration saved."""
 
-    def take_measurements(self) -> _Taken:
+    def _take_measurements(self) -> _Taken:
         """Return the records since the last call, by source."""
 
-    def take_events(self) -> list[_Event]:
+    def _take_events(self) -> list[_Event]:
         """Return the events since the last call."""
 
-    def counts(self) -> dict[str, dict[str, int]]:
+    def _counts(self) -> dict[str, dict[str, int]]:
         """Rows by source: in, used, rejected, late, bad."""
 
 @final

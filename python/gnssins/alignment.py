@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gnssins.config import Config
     from gnssins.dataset import Dataset, GnssTable, ImuTable
 
-__all__ = ["InitialState", "initial_state"]
+__all__ = ["InitialState", "initial_state", "last_row_needed_ns"]
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,10 @@ CRAB_SD_DEG: Final = 3.0
 
 #: Speed over its own uncertainty from which on it shows a course: receivers at rest report 1 m/s now and then.
 COURSE_SIGMAS: Final = 5.0
+
+
+#: Rows at the start of a log whose median interval is called usual.
+USUAL_ROWS: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +156,20 @@ def initial_state(config: Config, dataset: Dataset) -> InitialState:
     return _at_imu_stamp(config, imu, engine, motion, q_nb, sd_phi)
 
 
+def last_row_needed_ns(config: Config, start: InitialState) -> int:
+    """Time from which on IMU rows have no influence on an initial state."""
+    return start.t_ns + round((config.initial.leveling_window_s + 2.0 * LONGEST_BASE_S) * NS_PER_S)
+
+
 def _start_ns(config: Config, imu: ImuTable) -> int:
     """Earliest time of the state: ``start_s``, or the start of the IMU data.
 
-    The first row of increments or mean rates covers the usual interval before its stamp: the data start there.
+    The first row of increments or mean rates covers the usual interval before its stamp: the data start there. Usual is
+    that of the first rows, which a log in pieces has as well.
     """
     if config.run.start_s is not None:
         return max(round(config.run.start_s * NS_PER_S), int(imu.t_ns[0]))
-    return int(imu.t_ns[0]) - (0 if imu.kind == "rates" else int(np.median(np.diff(imu.t_ns))))
+    return int(imu.t_ns[0]) - (0 if imu.kind == "rates" else int(np.median(np.diff(imu.t_ns[:USUAL_ROWS]))))
 
 
 # ---- position, velocity, acceleration

@@ -115,12 +115,30 @@ def run(
     figures: Annotated[
         bool, typer.Option("--figures", metavar="", help="Also draw the figures as PNG.")
     ] = False,
+    chunk_rows: Annotated[
+        int | None,
+        typer.Option(
+            "--chunk-rows",
+            metavar="N",
+            min=1000,
+            help="For IMU logs larger than memory: read, filter and write N rows at a time; same numbers. "
+            "Not with --csv, --kml, --figures.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Process a recorded log: IMU and GNSS in, trajectory with its accuracy out."""
     from gnssins.commands import filtering
 
-    filtering.run(config, out, csv, kml, figures, json)
+    if chunk_rows is None:
+        filtering.run(config, out, csv, kml, figures, json)
+        return
+    if csv or kml or figures:
+        raise typer.BadParameter(
+            "needs the whole result in memory; leave it out and read navigation.parquet piece by piece",
+            param_hint="--csv, --kml or --figures with --chunk-rows",
+        )
+    filtering.run_in_pieces(config, out, chunk_rows, json)
 
 
 @app.command(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,9 @@ from gnssins.feed import Cut
 from gnssins.result import WITHHELD, AidRecords, Covariance, Event, Linearisation, Records, Result, finite
 from gnssins.tables import State
 
-__all__ = ["collect"]
+__all__ = ["collect", "collect_epochs", "no_epochs"]
+
+EPOCH_COLUMNS: Final = ("t_ns", "lla", "v_n", "rpy", "q_nb", "sd", "x", "x_sd")
 
 
 def collect(columns: dict[str, Any], dataset: Dataset, cut: Cut, metadata: dict[str, Any]) -> Result:
@@ -23,18 +26,9 @@ def collect(columns: dict[str, Any], dataset: Dataset, cut: Cut, metadata: dict[
     for name, held in cut.aid_withheld.items():
         if name in counts:
             counts[name]["withheld"] = held
-    states = tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in columns["states"])
-    return Result(
-        t_ns=columns["t_ns"],
-        lla=columns["lla"],
-        v_n=columns["v_n"],
-        rpy=columns["rpy"],
-        q_nb=columns["q_nb"],
-        sd=columns["sd"],
-        x=columns["x"],
-        x_sd=columns["x_sd"],
-        states=states,
-        covariance=Covariance(columns["cov_t_ns"], columns["cov"]),
+    epochs = collect_epochs(columns, columns["states"])
+    return replace(
+        epochs,
         records=_records(columns["meas"], dataset.gnss, cut),
         log=_events(columns["events"], columns["meas"], cut),
         counts=counts,
@@ -43,8 +37,33 @@ def collect(columns: dict[str, Any], dataset: Dataset, cut: Cut, metadata: dict[
         aids={
             name: _aid_records(columns[name], rows) for name, rows in cut.aid_rows.items() if name in counts
         },
-        linearisation=_linearisation(columns.get("lin"), str(metadata["model"]), states),
+        linearisation=_linearisation(columns.get("lin"), str(metadata["model"]), epochs.states),
     )
+
+
+def collect_epochs(columns: Mapping[str, Any], states: Sequence[Mapping[str, Any]]) -> Result:
+    """Make a result of what the core gives over time, without anything else."""
+    none = np.zeros(0, dtype=np.int64)
+    marks, unknown, wide = none.astype(np.uint8), np.zeros(0), np.zeros((0, 6))
+    fixes = np.zeros((0, 3))
+    return Result(
+        **{name: columns[name] for name in EPOCH_COLUMNS},
+        states=tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in states),
+        covariance=Covariance(columns["cov_t_ns"], columns["cov"]),
+        records=Records(
+            none, none, marks, marks, unknown, wide, np.zeros((0, 6, 6)), (), fixes, fixes, marks
+        ),
+        log=(),
+        counts={},
+    )
+
+
+def no_epochs(states: int) -> dict[str, NDArray[Any]]:
+    """Columns over time without a row, for a filter of so many states."""
+    widths = {"lla": 3, "v_n": 3, "rpy": 3, "q_nb": 4, "sd": 9, "x": states - 9, "x_sd": states - 9}
+    none = np.zeros(0, dtype=np.int64)
+    columns = {name: np.zeros((0, width)) for name, width in widths.items()}
+    return {"t_ns": none, **columns, "cov_t_ns": none, "cov": np.zeros((0, states, states))}
 
 
 def _aid_records(meas: Mapping[str, Any], rows: NDArray[np.intp]) -> AidRecords:

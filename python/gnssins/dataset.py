@@ -24,6 +24,7 @@ __all__ = [
     "GnssTable",
     "HeadingTable",
     "ImuKind",
+    "ImuPiece",
     "ImuTable",
     "Rows",
     "Source",
@@ -70,12 +71,32 @@ class ImuTable(Timed):
         store(self, gyro=floats(self.gyro, (t_ns.size, 3), "imu", "gyro"))
         store(self, accel=floats(self.accel, (t_ns.size, 3), "imu", "accel"))
 
+    @classmethod
+    def empty(cls, kind: ImuKind = "rates") -> ImuTable:
+        """Return a table without rows."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), kind)
+
+    @classmethod
+    def of_own(cls, t_ns: Times, gyro: Array, accel: Array, kind: ImuKind) -> ImuTable:
+        """Return a table of arrays that nobody else holds, of the right shapes and types: without a copy."""
+        return cls.empty(kind)._with(t_ns=t_ns, gyro=gyro, accel=accel)
+
+    @classmethod
+    def joined(cls, one: ImuTable, other: ImuTable) -> ImuTable:
+        """Return the rows of two tables of the same kind, one after the other."""
+        return cls(
+            np.concatenate([one.t_ns, other.t_ns]),
+            np.concatenate([one.gyro, other.gyro]),
+            np.concatenate([one.accel, other.accel]),
+            one.kind,
+        )
+
     def __repr__(self) -> str:
         return f"ImuTable({self.span()}, {self.kind})"
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], gyro=self.gyro[rows], accel=self.accel[rows])
+        return self._with(t_ns=self.t_ns[rows], gyro=self.gyro[rows], accel=self.accel[rows])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,8 +173,7 @@ class GnssTable(Timed):
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
         changed = None if self.new_constellation is None else self.new_constellation[rows]
-        return replace(
-            self,
+        return self._with(
             t_ns=self.t_ns[rows],
             lla=self.lla[rows],
             v_n=self.v_n[rows],
@@ -201,7 +221,7 @@ class BaroTable(Timed):
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], height_m=self.height_m[rows], var=self.var[rows])
+        return self._with(t_ns=self.t_ns[rows], height_m=self.height_m[rows], var=self.var[rows])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,7 +263,7 @@ class HeadingTable(Timed):
 
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
-        return replace(self, t_ns=self.t_ns[rows], heading_rad=self.heading_rad[rows], var=self.var[rows])
+        return self._with(t_ns=self.t_ns[rows], heading_rad=self.heading_rad[rows], var=self.var[rows])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -288,7 +308,7 @@ class TruthTable(Timed):
     def select(self, rows: Rows) -> Self:
         """Return the table of some rows, by mask, indices or slice."""
         q_nb = None if self.q_nb is None else self.q_nb[rows]
-        return replace(self, t_ns=self.t_ns[rows], lla=self.lla[rows], v_n=self.v_n[rows], q_nb=q_nb)
+        return self._with(t_ns=self.t_ns[rows], lla=self.lla[rows], v_n=self.v_n[rows], q_nb=q_nb)
 
 
 @dataclass(frozen=True)
@@ -319,6 +339,25 @@ class Source:
     def rows_skipped(self) -> int:
         """All skipped rows."""
         return sum(self.skipped.values())
+
+
+@dataclass(frozen=True)
+class ImuPiece:
+    """Some rows of an IMU log.
+
+    Attributes
+    ----------
+    table : ImuTable
+        The rows.
+    source : Source
+        Counts of these rows, without the digest of the file.
+    share : float
+        Share of the file that is read, 0 to 1.
+    """
+
+    table: ImuTable
+    source: Source
+    share: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,9 +94,9 @@ def mean_specific_force(
     InputError
         No finite rows in the window.
     """
-    finite = np.isfinite(imu.gyro).all(axis=1) & np.isfinite(imu.accel).all(axis=1)
-    rows = np.flatnonzero((imu.t_ns > start_ns) & (imu.t_ns <= end_ns) & finite)
-    rows = rows[rows > 0]
+    rows = np.flatnonzero((imu.t_ns > start_ns) & (imu.t_ns <= end_ns))
+    finite = np.isfinite(imu.gyro[rows]).all(axis=1) & np.isfinite(imu.accel[rows]).all(axis=1)
+    rows = rows[finite & (rows > 0)]
     if not rows.size:
         raise InputError(
             "input.no_imu",

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,11 +17,14 @@ from gnssins.errors import InputError
 from gnssins.result import STATUS, Event, finite
 from gnssins.runner import Start, as_config, as_initial
 from gnssins.tables import State
-from gnssins.units import DEG_TO_RAD, NS_PER_S
+from gnssins.units import DEG_TO_RAD, NS_PER_S, seconds_to_ns, times_to_ns
 
-__all__ = ["Measurement", "NavState", "Navigator"]
+__all__ = ["Measurement", "NavState", "NavStates", "Navigator"]
 
 Array = NDArray[np.float64]
+
+#: Times beyond it do not fit into 64 bits of nanoseconds.
+LARGEST_TIME_S: Final = 9.2e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,23 @@ class NavState:
 
 
 @dataclass(frozen=True, eq=False)
+class NavStates:
+    """Estimates at k moments: the arrays of :class:`gnssins.Result` of the same names."""
+
+    t_ns: NDArray[np.int64]
+    lla: Array
+    v_n: Array
+    rpy: Array
+    q_nb: Array
+    sd: Array
+    x: Array
+    x_sd: Array
+
+    def __len__(self) -> int:
+        return int(self.t_ns.size)
+
+
+@dataclass(frozen=True, eq=False)
 class Measurement:
     """What became of one row of an aid; see :class:`gnssins.result.Records` for the meaning of the fields.
 
@@ -62,8 +82,8 @@ class Measurement:
     refused: int
 
 
-class Navigator:
-    """A filter that takes one sample after the other.
+class Navigator(_core.Navigator):
+    """A filter that takes one sample after the other, or blocks of them.
 
     Times are seconds as ``float``, or nanoseconds as ``int``: ``12.5`` and ``12_500_000_000`` are the same
     moment. Use integers where the clock counts from an old epoch: at 1e9 s a float resolves only 0.1 microseconds.
@@ -83,38 +103,63 @@ class Navigator:
         ``initial`` is no initial state.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         config: Config | Mapping[str, Any] | str | os.PathLike[str],
         initial: Start,
-    ) -> None:
+    ) -> Self:
+        """Make the filter at its start."""
         config = as_config(config)
+        self = super().__new__(cls, json.dumps(config.engine_config(as_initial(initial).to_engine())))
         self._uses_position = config.gnss.uses_position
         self._uses_velocity = config.gnss.uses_velocity
         self._default_var = _configured_variances(config)
         self._baro_sd = config.baro.height_sd_m
         heading_sd = config.heading.heading_sd_deg
         self._heading_sd = None if heading_sd is None else heading_sd * DEG_TO_RAD
-        self._core = _core.Navigator(json.dumps(config.engine_config(as_initial(initial).to_engine())))
+        return self
 
-    def imu(self, t: float | int, gyro: ArrayLike, accel: ArrayLike) -> None:
-        """Take one IMU row and move the state to its time.
+    _uses_position: bool
+    _uses_velocity: bool
+    _default_var: Array
+    _baro_sd: float | None
+    _heading_sd: float | None
+
+    def imu_many(
+        self, t: ArrayLike, gyro: ArrayLike, accel: ArrayLike, *, interval_s: float | None = None
+    ) -> NavStates:
+        """Take rows of the IMU as :meth:`imu` does one by one, in a single call; the state after it has the same bits.
+
+        Other threads run meanwhile.
 
         Parameters
         ----------
-        t : float or int
-            Stamp: seconds as float, nanoseconds as int.
-        gyro, accel : array_like, shape (3,)
-            Body axes, rad/s and m/s^2, or rad and m/s for increments (``[imu] kind``).
+        t : array_like, shape (n,)
+            Stamps: seconds as float, nanoseconds as int.
+        gyro, accel : array_like, shape (n, 3)
+            As in :meth:`imu`.
+        interval_s : float, optional
+            Spacing of the estimates that are handed back: at the first row of every multiple of it, or at every row
+            for 0; left out: none.
+
+        Returns
+        -------
+        NavStates
+            The estimates asked for.
 
         Raises
         ------
         TimeOrderError, GapError
-            As configured; the row is then not taken.
+            As :meth:`imu`; ``context["block_row"]`` is the row of the block, from 0. The rows before it are taken, it
+            and the rest are not.
         InputError
-            The time is no finite number, or the values are no numbers.
+            Wrong shapes, or times or values that are no numbers; then no row is taken.
         """
-        self._core.imu(_nanoseconds(t), _numbers(gyro, "gyro"), _numbers(accel, "accel"))
+        t_ns = _stamps(t)
+        interval_ns = None if interval_s is None else seconds_to_ns(interval_s)
+        return NavStates(
+            **self._imu_many(t_ns, _numbers(gyro, "gyro"), _numbers(accel, "accel"), interval_ns)
+        )
 
     def gnss(
         self,
@@ -164,7 +209,7 @@ class Navigator:
                 "the accuracy of a fix is not known",
                 "give sd or cov, or [gnss] position_sd_m and velocity_sd_m_s",
             )
-        self._core.gnss(_nanoseconds(t), position, velocity, var, new_constellation)
+        self._gnss(t, position, velocity, var, new_constellation)
 
     def baro(self, t: float | int, height_m: float, sd_m: float | None = None) -> None:
         """Take one barometric height; it is fused when the IMU reaches its time of validity.
@@ -184,7 +229,7 @@ class Navigator:
             No accuracy is known.
         """
         sd = self._baro_sd if sd_m is None else sd_m
-        self._core.baro(_nanoseconds(t), float(height_m), _variance(sd, "baro", "height_sd_m"))
+        self._baro(t, float(height_m), _variance(sd, "baro", "height_sd_m"))
 
     def heading(self, t: float | int, heading_rad: float, sd_rad: float | None = None) -> None:
         """Take one heading of the forward axis, clockwise from true north (rad); as :meth:`baro`.
@@ -195,35 +240,31 @@ class Navigator:
             No accuracy is known.
         """
         sd = self._heading_sd if sd_rad is None else sd_rad
-        self._core.heading(_nanoseconds(t), float(heading_rad), _variance(sd, "heading", "heading_sd_deg"))
-
-    def finish(self) -> None:
-        """End the stream: fixes that wait for an IMU row that will not come are counted as late."""
-        self._core.finish()
+        self._heading(t, float(heading_rad), _variance(sd, "heading", "heading_sd_deg"))
 
     @property
     def state(self) -> NavState:
         """The estimate now."""
-        return NavState(**self._core.state())
+        return NavState(**self._state())
 
     @property
     def covariance(self) -> Array:
         """Error-state covariance now, shape (n, n), NED axes, SI, order of :attr:`states`."""
-        return self._core.cov()
+        return self._cov()
 
     @property
     def states(self) -> tuple[State, ...]:
         """Names and units of all states."""
-        return tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in self._core.states())
+        return tuple(State(s["name"], s["unit"], s["block"], s["kind"]) for s in self._states())
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
         """Rows taken so far by what became of them, for ``"imu"``, ``"gnss"`` and the aids that were fed."""
-        return self._core.counts()
+        return self._counts()
 
     def take_measurements(self) -> list[Measurement]:
         """Hand out the records of all aids since the last call, source by source."""
-        records: Mapping[str, Any] = self._core.take_measurements()
+        records: Mapping[str, Any] = self._take_measurements()
         return [
             _measurement(source, columns, i)
             for source, columns in records.items()
@@ -232,22 +273,8 @@ class Navigator:
 
     def take_events(self) -> list[Event]:
         """Hand out the events since the last call."""
-        events = self._core.take_events()
+        events = self._take_events()
         return [Event(e["t_ns"], e["code"], e["row"], e["message"], finite(e["value"])) for e in events]
-
-    def save(self) -> bytes:
-        """Freeze the whole state, waiting fixes included, in bytes."""
-        return self._core.save()
-
-    def restore(self, saved: bytes) -> None:
-        """Go on from what :meth:`save` gave, or from :attr:`gnssins.Result.final_state`: the same bits follow.
-
-        Raises
-        ------
-        StateError
-            The bytes belong to another configuration; the navigator is then unchanged.
-        """
-        self._core.restore(saved)
 
 
 def _measurement(source: str, m: Mapping[str, Any], i: int) -> Measurement:
@@ -274,18 +301,21 @@ def _variance(sd: float | None, section: str, key: str) -> float:
     return float(sd) ** 2
 
 
-def _nanoseconds(t: float | int) -> int:
-    """Nanoseconds of a time: int is nanoseconds already, float is seconds."""
-    if isinstance(t, int | np.integer) and not isinstance(t, bool):
-        return int(t)
-    if not isinstance(t, float | np.floating) or not np.isfinite(t):
-        raise InputError(
-            "input.time",
-            f"a row with the time {t!r}, needs a finite number",
-            "give seconds as float or nanoseconds as int; leave out rows without a time",
-        )
-    whole = int(np.floor(t))
-    return whole * NS_PER_S + round((t - whole) * NS_PER_S)
+def _stamps(t: ArrayLike) -> NDArray[np.int64]:
+    """Nanoseconds of stamps: whole numbers are nanoseconds already, floating point is seconds."""
+    stamps = np.asarray(t)
+    if stamps.dtype.kind in "iu" or not stamps.size:
+        return stamps.astype(np.int64, copy=False)
+    number = stamps.dtype.kind == "f"
+    bad = ~(np.abs(stamps) < LARGEST_TIME_S) if number else np.ones(stamps.size, dtype=np.bool_)
+    if not bad.any():
+        return times_to_ns(stamps.astype(np.float64, copy=False))
+    first = int(np.argmax(bad))
+    raise InputError(
+        "input.time",
+        f"{int(bad.sum())} of {stamps.size} times are no finite numbers, first row {first}: {stamps.flat[first]!r}",
+        "give seconds as float or nanoseconds as int; leave out rows without a time",
+    )
 
 
 def _refuse_sd(sd: Array, position: Array | None, velocity: Array | None) -> None:

@@ -8,7 +8,8 @@ import os
 import platform
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -21,7 +22,7 @@ from gnssins.alignment import InitialState, initial_state
 from gnssins.checks import Finding, check_dataset, raise_on_stop
 from gnssins.collect import collect
 from gnssins.config import Config
-from gnssins.dataset import Dataset
+from gnssins.dataset import Dataset, Source
 from gnssins.errors import GnssinsError, InputError
 from gnssins.feed import Progress, call_core, cut_tables, refuse_outside
 from gnssins.io import read_dataset
@@ -100,23 +101,24 @@ def run(
     try:
         raise_on_stop(findings)
         start = as_initial(initial) if initial is not None else initial_state(config, dataset)
-        engine = config.engine_config(start.to_engine())
-        engine["imu"]["input"] = dataset.imu.kind
+        engine = engine_of(config, start, dataset.imu.kind)
         cut = cut_tables(config, dataset, engine)
         refuse_outside(config, start.t_ns, int(cut.imu.t_ns[-1]))
         prepared = time.perf_counter()
-        columns = call_core(engine, config, cut, progress)
+        with ThreadPoolExecutor(max_workers=1) as beside:  # neither digests nor the core need the GIL
+            inputs = beside.submit(_inputs, dataset)
+            columns = call_core(engine, config, cut, progress)
     except GnssinsError as error:
-        _attach(error, findings, repeat=told is None)
+        attach(error, findings, repeat=told is None)
         raise
     times = {"prepare_s": prepared - clock, "filter_s": time.perf_counter() - prepared}
-    metadata = _metadata(config, dataset, engine, findings, times)
-    if config_file is not None:
-        metadata["run"]["config_file"] = str(Path(config_file).resolve())
+    about = about_run(config_file, times)
+    about |= {key: dataset.meta[key] for key in ("scenario", "variant", "seed") if key in dataset.meta}
+    metadata = run_metadata(config, about, inputs.result(), engine, findings)
     return collect(columns, dataset, cut, metadata)
 
 
-def _attach(error: GnssinsError, findings: list[Finding], *, repeat: bool) -> None:
+def attach(error: GnssinsError, findings: list[Finding], *, repeat: bool) -> None:
     """Give an error what the look at the data had found before."""
     if not findings:
         return
@@ -158,26 +160,38 @@ def as_initial(initial: Start) -> InitialState:
         ) from None
 
 
-def _metadata(
+def engine_of(config: Config, start: InitialState, kind: str) -> dict[str, Any]:
+    """Configuration of the engine for a start and IMU rows of a kind."""
+    engine = config.engine_config(start.to_engine())
+    engine["imu"]["input"] = kind
+    return engine
+
+
+def about_run(config_file: str | None, times: Mapping[str, float]) -> dict[str, Any]:
+    """When, how long (s), and by which file a run was made."""
+    about: dict[str, Any] = {"created": datetime.now(UTC).isoformat(timespec="seconds")}
+    if config_file is not None:
+        about["config_file"] = str(Path(config_file).resolve())
+    return about | {key: round(value, 4) for key, value in times.items()}
+
+
+def run_metadata(
     config: Config,
-    dataset: Dataset,
+    about: Mapping[str, Any],
+    inputs: list[dict[str, Any]],
     engine: dict[str, Any],
     findings: list[Finding],
-    times: dict[str, float],
 ) -> dict[str, Any]:
     """What ``run.toml`` keeps beside counts and states."""
     windows = [[round(t * NS_PER_S) for t in pair] for pair in config.run.outages]
-    about: dict[str, Any] = {"created": datetime.now(UTC).isoformat(timespec="seconds")}
-    about |= {key: dataset.meta[key] for key in ("scenario", "variant", "seed") if key in dataset.meta}
-    about |= {key: round(value, 4) for key, value in times.items()}
     return {
-        "run": about,
+        "run": dict(about),
         "versions": versions(),
         "ellipsoid": engine["ellipsoid"],
         "model": engine["model"],
         "lever_ba_b_m": engine["gnss"]["lever_b_m"],
         "outages_ns": windows,
-        "input": _inputs(dataset),
+        "input": inputs,
         "finding": _listed(findings),
         "config": config.to_dict(),
         "engine": {"json": json.dumps(engine)},
@@ -200,15 +214,7 @@ def versions() -> dict[str, str]:
 def _inputs(dataset: Dataset) -> list[dict[str, Any]]:
     """Files with their digests and rows; digests of the arrays for data that came from no file."""
     if dataset.sources:
-        return [
-            {
-                "file": str(Path(source.path)),
-                "sha256": source.sha256,
-                "rows": source.rows,
-                "skipped": dict(source.skipped),
-            }
-            for source in dataset.sources.values()
-        ]
+        return listed_files(dataset.sources.values())
     imu, gnss, baro, heading = dataset.imu, dataset.gnss, dataset.baro, dataset.heading
     tables = {"imu": (imu.t_ns, imu.gyro, imu.accel), "gnss": (gnss.t_ns, gnss.lla, gnss.v_n, gnss.var)}
     if len(baro):
@@ -217,6 +223,19 @@ def _inputs(dataset: Dataset) -> list[dict[str, Any]]:
         tables["heading"] = (heading.t_ns, heading.heading_rad, heading.var)
     return [
         {"table": name, "sha256": _digest(arrays), "rows": len(arrays[0])} for name, arrays in tables.items()
+    ]
+
+
+def listed_files(sources: Iterable[Source]) -> list[dict[str, Any]]:
+    """Files with their digests and rows."""
+    return [
+        {
+            "file": str(Path(source.path)),
+            "sha256": source.sha256,
+            "rows": source.rows,
+            "skipped": dict(source.skipped),
+        }
+        for source in sources
     ]
 
 

@@ -32,12 +32,12 @@ from gnssins import tables
 from gnssins.errors import InputError, MissingFileError
 from gnssins.outputs import RESULT_FILES, make_folder, refuse_inputs
 from gnssins.tables import State
-from gnssins.units import NS_PER_S
+from gnssins.units import times_to_ns
 
 if TYPE_CHECKING:
     from gnssins.result import AidRecords, Event, Records, Result
 
-__all__ = ["FORMAT", "load", "save", "write_atomic"]
+__all__ = ["FORMAT", "covariance_table", "load", "save", "save_with", "write_atomic"]
 
 #: Version of the layout of the folder.
 FORMAT: Final = 1
@@ -67,24 +67,40 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
 
 def save(result: Result, folder: str | Path) -> Path:
     """Write ``result`` into ``folder``; ``run.toml`` goes first when it is there and comes last when all is written."""
+    return save_with(
+        result,
+        folder,
+        lambda path: result.navigation.write_parquet(path),
+        lambda path: covariance_table(result).write_parquet(path),
+    )
+
+
+def save_with(
+    result: Result,
+    folder: str | Path,
+    navigation: Callable[[Path], object],
+    covariance: Callable[[Path], object],
+) -> Path:
+    """Write ``result`` as :func:`save` does, the two tables over time by functions that fill a file."""
     target = Path(folder)
     inputs = [entry.get("file") for entry in result.metadata.get("input", [])]
     inputs.append(result.metadata.get("run", {}).get("config_file"))
     refuse_inputs([target / name for name in RESULT_FILES], inputs)
     make_folder(target)
     (target / RUN_FILE).unlink(missing_ok=True)
-    write_atomic(target / "navigation.parquet", result.navigation.write_parquet)
+    write_atomic(target / "navigation.parquet", navigation)
     write_atomic(target / "measurements.parquet", result.measurements.write_parquet)
     write_atomic(target / "aids.parquet", result.aid_measurements.write_parquet)
     write_atomic(target / "events.csv", result.events.write_csv)
-    write_atomic(target / "covariance.parquet", _covariance_table(result).write_parquet)
+    write_atomic(target / "covariance.parquet", covariance)
     write_atomic(target / "state.bin", lambda path: path.write_bytes(result.final_state))
     text = tomlkit.dumps(_run_document(result))
     write_atomic(target / RUN_FILE, lambda path: path.write_text(text, encoding="utf-8"))
     return target
 
 
-def _covariance_table(result: Result) -> pl.DataFrame:
+def covariance_table(result: Result) -> pl.DataFrame:
+    """Snapshots of the covariance as a table."""
     n = len(result.states)
     flat = np.ascontiguousarray(result.covariance.matrix.reshape(-1, n * n))
     column = pl.Series(flat, dtype=pl.Array(pl.Float64, n * n))
@@ -131,7 +147,7 @@ def load(folder: str | Path) -> Result:
     rpy[:, 2] = tables.wrap_pi(rpy[:, 2])
     covariance = _read(source / "covariance.parquet", pl.read_parquet)
     return Result(
-        t_ns=_nanoseconds(table[:, 0]),
+        t_ns=times_to_ns(table[:, 0]),
         lla=np.column_stack([np.radians(table[:, 1:3]), table[:, 3]]),
         v_n=table[:, 4:7].copy(),
         rpy=rpy,
@@ -196,12 +212,6 @@ def _columns(source: Path, table: pl.DataFrame, names: list[str]) -> NDArray[np.
     return np.ascontiguousarray(table.select(names).to_numpy())
 
 
-def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Nanoseconds of times in seconds, whole seconds and fraction apart to keep all digits."""
-    whole = np.floor(time_s)
-    return whole.astype(np.int64) * NS_PER_S + np.rint((time_s - whole) * NS_PER_S).astype(np.int64)
-
-
 def _quaternions(rpy: NDArray[np.float64]) -> NDArray[np.float64]:
     from gnssins import _core
 
@@ -215,7 +225,7 @@ def _load_records(source: Path) -> Records:
     fix = table.select(tables.NAVIGATION_COLUMNS[1:7]).to_numpy()
     return Records(
         row=table["row"].to_numpy(),
-        t_ns=_nanoseconds(table["time_s"].to_numpy()),
+        t_ns=times_to_ns(table["time_s"].to_numpy()),
         status=np.array([STATUS.index(name) for name in table["status"]], dtype=np.uint8),
         dof=table["dof"].to_numpy(),
         nis=table["nis"].to_numpy(),
@@ -246,7 +256,7 @@ def _load_aids(source: Path) -> dict[str, AidRecords]:
         factor, _ = tables.AID_UNITS[str(name)]
         aids[str(name)] = AidRecords(
             row=table["row"].to_numpy(),
-            t_ns=_nanoseconds(table["time_s"].to_numpy()),
+            t_ns=times_to_ns(table["time_s"].to_numpy()),
             status=np.array([STATUS.index(status) for status in table["status"]], dtype=np.uint8),
             nis=table["nis"].to_numpy(),
             innovation=table["innovation"].to_numpy() / factor,
@@ -262,6 +272,6 @@ def _load_events(source: Path) -> tuple[Event, ...]:
     table = _read(source / "events.csv", lambda path: pl.read_csv(path, schema_overrides=tables.EVENT_SCHEMA))
     if "value" not in table.columns:  # written before events had numbers
         table = table.with_columns(value=pl.lit(None, pl.Float64))
-    times = _nanoseconds(table["time_s"].to_numpy())
+    times = times_to_ns(table["time_s"].to_numpy())
     rows = zip(times, *(table[name] for name in ("code", "row", "message", "value")), strict=True)
     return tuple(Event(int(t), code, row, message, value) for t, code, row, message, value in rows)

@@ -11,6 +11,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 """Standard acceleration of gravity (exact): 3rd CGPM (1901), declaration on the unit of mass."""
 
@@ -75,6 +78,12 @@ def seconds_to_ns(seconds: float) -> int:
     readers take them from text without a float in between.
     """
     return round(seconds * NS_PER_S)
+
+
+def times_to_ns(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Nanoseconds of finite times in seconds, whole seconds and fraction apart to keep all digits."""
+    whole = np.floor(time_s)
+    return whole.astype(np.int64) * NS_PER_S + np.rint((time_s - whole) * NS_PER_S).astype(np.int64)
 
 
 def ms_to_ns(milliseconds: float) -> int:

@@ -192,7 +192,7 @@ def test_engine_takes_every_kind_of_block():
         initial = {"t_ns": 0, "lat_rad": 0.5, "lon_rad": 0.1, "height_m": 0.0, "v_n": [0.0] * 3}
         initial |= {"q_nb": [1.0, 0, 0, 0], "sd_phi": [0.1] * 3, "sd_v": [0.1] * 3, "sd_p": [1.0] * 3}
         navigator = _core.Navigator(json.dumps(Config.from_dict(tables).engine_config(initial)))
-        assert len(navigator.state()["x"]) > 6
+        assert len(navigator._state()["x"]) > 6
 
 
 # ---- files

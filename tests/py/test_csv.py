@@ -12,6 +12,9 @@ from hypothesis import strategies as st
 from gnssins.config import Config
 from gnssins.errors import ConfigError, GnssinsError, InputError, MissingFileError
 from gnssins.io import format_of, read_dataset
+from gnssins.io.cells import numbers
+from gnssins.io.clean import read_clean
+from gnssins.io.text import read_text
 
 HEAD = "time_s,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
 ROWS = ["0.00,1,2,3,4,5,6", "0.01,-1,-2,-3,-4,-5,-6", "0.02,0,0,0,0,0,-9.8"]
@@ -389,3 +392,70 @@ def test_rows_stay_in_file_order_unless_sorting_is_asked_for(read):
     np.testing.assert_array_equal(dataset.imu.t_ns, [0, 10_000_000, 20_000_000])
     np.testing.assert_array_equal(dataset.imu.gyro[0], [1, 2, 3])
     assert source_of(dataset, "imu.csv").sorted_rows == 1
+
+
+CELL = st.sampled_from(
+    [
+        "0",
+        "1.5",
+        "-2",
+        "+3",
+        "1e-3",
+        ".5",
+        "7.",
+        "1e400",
+        "nan",
+        "NaN",
+        "inf",
+        "-Infinity",
+        "",
+        " 4",
+        "x",
+        "-999",
+    ]
+    + ['"5"', "1,2", "1;2", "0x1", "1_0", "true", "\r", "5\r"]
+)
+TIME = st.sampled_from(
+    ["0", "0.01", "1.0000000005", "1.0000000015", "1e1", "-3", " 2", "2 ", "", "nan", "t", "1e30", "+4", "7."]
+)
+TABLE = st.lists(st.tuples(TIME, st.lists(CELL, min_size=2, max_size=4)), min_size=1, max_size=4)
+
+
+@given(TABLE, st.sampled_from(["nan", "-999", "x"]), st.sampled_from(["w", "f", "t"]), st.booleans())
+def test_the_short_way_reads_what_the_long_way_reads_or_nothing(tmp_path_factory, rows, missing, last, wide):
+    # GIVEN small tables with all kinds of cells and rows of unequal length, the last column wanted or not
+    order = [name for name in "wft" if name != last] + [last]
+    cells = [dict(zip("wft", (*values[:2], t), strict=True)) for t, values in rows]
+    text = ",".join([*order, *(["z"] if wide else [])]) + "\n"
+    for (_, values), named in zip(rows, cells, strict=True):
+        text += ",".join([*(named[name] for name in order), *values[2:]]) + "\n"
+    path = tmp_path_factory.mktemp("cells") / "a.csv"
+    path.write_text(text)
+    # WHEN both read them THEN the short way gives the same bits, or leaves the table to the long way
+    short = read_clean(path, "t", "s", ["w", "f"], missing, ",")
+    if short is None:
+        return
+    table = read_text(path, section="imu", required=("t", "w", "f"))
+    t_ns, columns = numbers(table, "t", "s", ("w", "f"), missing)
+    assert np.array_equal(short.t_ns, t_ns)
+    for name in ("w", "f"):
+        assert np.array_equal(short.columns[name], columns[name], equal_nan=True)
+    assert short.sha256 == table.sha256
+    assert table.rows == t_ns.size == short.t_ns.size
+
+
+def test_a_plain_log_takes_the_short_way(tmp_path):
+    path = tmp_path / "imu.csv"
+    path.write_text(PLAIN)
+    assert read_clean(path, "time_s", "s", HEAD.split(",")[1:], "nan", ",") is not None
+
+
+@pytest.mark.parametrize(
+    "odd",
+    ['0.03,1,2,3,4,5,"6"', "", "0.03,1,2,3,4,5", "0.03,1,2,3,4,5,6,7", "0.03,1,2,3,4,5,6\r"],
+    ids=["quotes", "blank line", "too few cells", "too many cells", "carriage return"],
+)
+def test_an_odd_log_takes_the_long_way(tmp_path, odd):
+    path = tmp_path / "imu.csv"
+    path.write_bytes(lines(HEAD, *ROWS[:2], odd, ROWS[2]).encode())
+    assert read_clean(path, "time_s", "s", HEAD.split(",")[1:], "nan", ",") is None

@@ -48,9 +48,9 @@ def test_python_of_the_simulation_how_to_runs(capsys):
 
 
 def test_stream_of_the_how_to_gives_the_bits_of_a_batch_run():
-    (text,) = blocks("howto/stream.md", "python")
+    rows, block = blocks("howto/stream.md", "python")
     names = {}
-    exec(compile(text, "howto/stream.md", "exec"), names)
+    exec(compile(rows, "howto/stream.md", "exec"), names)
     streamed = names["navigator"]
     result = gnssins.run(names["config"] | {"run": {"end_s": 20.0}}, names["simulated"])
     assert streamed.counts["imu"]["used"] == result.counts["imu"]["used"] == 2000
@@ -59,6 +59,8 @@ def test_stream_of_the_how_to_gives_the_bits_of_a_batch_run():
     for name in ("lla", "v_n", "rpy", "q_nb", "sd", "x", "x_sd"):
         np.testing.assert_array_equal(getattr(streamed.state, name), getattr(result, name)[-1], err_msg=name)
     assert streamed.save() == result.final_state
+    exec(compile(block, "howto/stream.md", "exec"), names)
+    assert len(names["states"]) == 11
 
 
 @pytest.fixture(scope="module")

@@ -25,13 +25,15 @@ _HIGH_M = 30.0
 """Height above the ellipsoid from which the ratio of two heights tells their units."""
 
 
-def check_aids(dataset: Dataset, config: Config | None) -> Iterator[Finding]:
+def check_aids(dataset: Dataset, config: Config | None, span_ns: tuple[int, int] | None) -> Iterator[Finding]:
     """Look at the aids beside GNSS.
 
     Parameters
     ----------
     dataset : Dataset
-        The data, uncut.
+        The aids, uncut.
+    span_ns : tuple of int, or None
+        First and last time of the IMU log.
     config : Config, optional
         Adds latencies and the blocks of the filter.
 
@@ -48,7 +50,7 @@ def check_aids(dataset: Dataset, config: Config | None) -> Iterator[Finding]:
     for name, table in tables:
         if len(table):
             latency_ms = 0.0 if config is None else getattr(config, name).latency_ms
-            yield from _overlap(dataset, table, name, ms_to_ns(latency_ms))
+            yield from _overlap(span_ns, table, name, ms_to_ns(latency_ms))
             yield from _accuracy(table, name)
     if len(dataset.heading):
         yield from _heading(dataset.heading, dataset.gnss)
@@ -58,11 +60,11 @@ def check_aids(dataset: Dataset, config: Config | None) -> Iterator[Finding]:
 
 
 def _overlap(
-    dataset: Dataset, table: BaroTable | HeadingTable, name: str, latency_ns: int
+    span_ns: tuple[int, int] | None, table: BaroTable | HeadingTable, name: str, latency_ns: int
 ) -> Iterator[Finding]:
-    if not len(dataset.imu):
+    if span_ns is None:
         return
-    first, last = int(dataset.imu.t_ns.min()), int(dataset.imu.t_ns.max())
+    first, last = span_ns
     valid = table.t_ns - latency_ns
     if ((valid >= first) & (valid <= last)).any():
         return

@@ -7,17 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..config import Config, axes_matrix, proper_letters
-from ..dataset import Array, Dataset, ImuTable
+from ..dataset import Array
 from ..units import DEG_TO_RAD, STANDARD_GRAVITY_M_S2
 from .findings import Finding
-from .motion import Fit, Rates, Steps, Windows, as_rates, fit, steps_between_fixes, windows
+from .look import ImuLook
+from .motion import Fit, Steps, Windows, fit
 
 _G = STANDARD_GRAVITY_M_S2
 _LIKE = 0.15
 """Relative distance to a wrong-unit value that still counts as a match."""
 
-_FASTEST_RAD_S = 70.0
-"""No gyro on the market reads so much (4000 deg/s)."""
+_MANY_TOO_FAST = 0.001
+"""Share of angular rates beyond what any gyro reads that is more than a few spikes."""
 
 _LARGEST_BIAS_DEG_S = 3.0
 """Gyro bias that is told; even cheap sensors stay below."""
@@ -34,17 +35,15 @@ _TURNS = 0.9
 """Correlation of gyro turn and GNSS turn above which their ratio is believed."""
 
 
-def check_imu(dataset: Dataset, config: Config | None, latency_ns: int) -> Iterator[Finding]:
-    """Look at the inertial samples, alone and against GNSS.
+def check_imu(look: ImuLook, config: Config | None) -> Iterator[Finding]:
+    """Judge the inertial samples, alone and against GNSS.
 
     Parameters
     ----------
-    dataset : Dataset
-        The data.
+    look : ImuLook
+        What was seen of the data.
     config : Config, optional
         For ranges, axes and the share of bad rows.
-    latency_ns : int
-        Latency of GNSS.
 
     Yields
     ------
@@ -52,15 +51,11 @@ def check_imu(dataset: Dataset, config: Config | None, latency_ns: int) -> Itera
         ``data.imu_bad``, ``data.imu_saturated``, ``data.imu_repeated``, ``data.accel_unit``,
         ``data.accel_scale``, ``data.gyro_unit``, ``data.gyro_sign``, ``data.gyro_bias``, ``data.axes``.
     """
-    imu = dataset.imu
-    yield from _bad_rows(imu, config)
-    yield from _saturation(imu, config)
-    yield from _repeats(imu)
-    rates = as_rates(imu)
-    if rates is None:
-        return
-    parts = windows(rates)
-    if not parts.t_s.size:
+    yield from _bad_rows(look, config)
+    yield from _saturation(look, config)
+    yield from _repeats(look)
+    parts = look.windows()
+    if parts is None or not parts.t_s.size:
         return
     force = np.median(np.linalg.norm(parts.accel, axis=1))
     if force == 0.0:
@@ -68,65 +63,52 @@ def check_imu(dataset: Dataset, config: Config | None, latency_ns: int) -> Itera
             "stop", "data.accel_unit", "imu: the accelerometer reads zero all the time", "check the columns"
         )
         return
-    yield from _accel_unit(imu, rates, parts)
+    yield from _accel_unit(look, parts)
     up = _up(parts)
-    steps = steps_between_fixes(rates, imu, dataset.gnss, up, latency_ns)
-    yield from _gyro_unit(imu, rates, steps)
+    steps = look.steps(up)
+    yield from _gyro_unit(look, steps)
     yield from _gyro_bias(parts)
     yield from _axes(up, steps, config)
 
 
-def _bad_rows(imu: ImuTable, config: Config | None) -> Iterator[Finding]:
-    bad = ~(np.isfinite(imu.gyro).all(axis=1) & np.isfinite(imu.accel).all(axis=1))
-    count = int(bad.sum())
-    if not count:
+def _bad_rows(look: ImuLook, config: Config | None) -> Iterator[Finding]:
+    if not look.bad:
         return
     limit = 0.01 if config is None else config.imu.max_bad_share
-    share = count / len(imu)
+    share = look.bad / look.rows
     over = share > limit
     yield Finding(
         "stop" if over else "warn",
         "data.imu_bad",
-        f"imu: {count} of {len(imu)} rows ({share:.2%}) have a missing or infinite value, first row "
-        f"{int(np.flatnonzero(bad)[0]) + 1}" + (f"; allowed {limit:.2%}" if over else ""),
+        f"imu: {look.bad} of {look.rows} rows ({share:.2%}) have a missing or infinite value, first row "
+        f"{look.first_bad + 1}" + (f"; allowed {limit:.2%}" if over else ""),
         "repair the log, or set [imu] max_bad_share" if over else "these rows are counted as bad and bridged",
-        count,
+        look.bad,
     )
 
 
-def _saturation(imu: ImuTable, config: Config | None) -> Iterator[Finding]:
-    if config is None or imu.kind == "increments":
-        return
-    ranges = (
-        ("gyro", imu.gyro, config.imu.gyro.range_deg_s, DEG_TO_RAD, "deg/s"),
-        ("accel", imu.accel, config.imu.accel.range_g, _G, "g"),
-    )
-    for name, values, limit, factor, unit in ranges:
-        if limit is None:
-            continue
-        count = int((np.abs(values) >= 0.999 * limit * factor).any(axis=1).sum())
-        if count:
-            text = f"imu: {count} rows at or beyond the {name} range of {limit:g} {unit}"
+def _saturation(look: ImuLook, config: Config | None) -> Iterator[Finding]:
+    for name, count in look.saturated.items():
+        if count and config is not None:
+            gyro = name == "gyro"
+            limit = config.imu.gyro.range_deg_s if gyro else config.imu.accel.range_g
+            text = f"imu: {count} rows at or beyond the {name} range of {limit:g} {'deg/s' if gyro else 'g'}"
             yield Finding("warn", "data.imu_saturated", text, "motion beyond the range is lost", count)
 
 
-def _repeats(imu: ImuTable) -> Iterator[Finding]:
-    if len(imu) < 10:
-        return
-    values = np.hstack([imu.gyro, imu.accel])
-    same = (values[1:] == values[:-1]).all(axis=1)
-    count = int(same.sum())
-    if count > 0.01 * len(imu):
+def _repeats(look: ImuLook) -> Iterator[Finding]:
+    count = look.repeated
+    if look.rows >= 10 and count > 0.01 * look.rows:
         yield Finding(
-            "warn" if count > 0.1 * len(imu) else "info",
+            "warn" if count > 0.1 * look.rows else "info",
             "data.imu_repeated",
-            f"imu: {count} of {len(imu)} rows repeat all six values of the row before",
+            f"imu: {count} of {look.rows} rows repeat all six values of the row before",
             "the log is sampled faster than the sensor, or the sensor was stuck",
             count,
         )
 
 
-def _accel_unit(imu: ImuTable, rates: Rates, parts: Windows) -> Iterator[Finding]:
+def _accel_unit(look: ImuLook, parts: Windows) -> Iterator[Finding]:
     """Size of the specific force: its median must be near 1 g, whatever the vehicle does."""
     size = np.linalg.norm(parts.accel, axis=1)
     rest = parts.steady & (np.linalg.norm(parts.gyro, axis=1) < _AT_REST_RAD_S)
@@ -143,7 +125,7 @@ def _accel_unit(imu: ImuTable, rates: Rates, parts: Windows) -> Iterator[Finding
                 int(rest.sum()),
             )
         return
-    step = rates.step_s
+    step = look.step_s
     likely = {
         '[imu] accel_unit = "g"': 1.0,
         'milli-g; divide the columns by 1000 and set accel_unit = "g"': 1e3,
@@ -151,7 +133,7 @@ def _accel_unit(imu: ImuTable, rates: Rates, parts: Windows) -> Iterator[Finding
         "ft/s^2; multiply the columns by 0.3048": _G / 0.3048,
         '[imu] accel_unit = "m/s^2" (now read as g)': _G * _G,
     }
-    if imu.kind == "increments":
+    if look.kind == "increments":
         likely['[imu] kind = "rates" or "mean-rates" (now read as increments)'] = _G / step
     else:
         likely['[imu] kind = "increments" (velocity increments, m/s)'] = _G * step
@@ -164,17 +146,16 @@ def _accel_unit(imu: ImuTable, rates: Rates, parts: Windows) -> Iterator[Finding
         yield Finding("warn", "data.accel_unit", text, hint, size.size)
 
 
-def _gyro_unit(imu: ImuTable, rates: Rates, steps: Steps) -> Iterator[Finding]:
+def _gyro_unit(look: ImuLook, steps: Steps) -> Iterator[Finding]:
     """Size of the rates: against what gyros can read, and against the turns that GNSS shows."""
-    fastest = float(np.quantile(np.abs(rates.gyro), 0.999))
     turns = fit(steps.gyro_turn, steps.course_turn)
     believed = turns.pairs >= 10 and _rms(steps.course_turn) > 0.05 and abs(turns.correlation) > _TURNS
-    step = rates.step_s
+    step = look.step_s
     likely = {
         _READ_AS_RAD_S: DEG_TO_RAD,
         '[imu] gyro_unit = "rad/s" (now read as deg/s)': 1.0 / DEG_TO_RAD,
     }
-    if imu.kind == "increments":
+    if look.kind == "increments":
         likely['[imu] kind = "rates" or "mean-rates" (now read as increments)'] = step
     else:
         likely['[imu] kind = "increments" (angle increments)'] = 1.0 / step
@@ -184,9 +165,9 @@ def _gyro_unit(imu: ImuTable, rates: Rates, steps: Steps) -> Iterator[Finding]:
     )
     if believed and fits:
         yield Finding("stop", "data.gyro_unit", f"imu: {ratio}", f"likely: {' or '.join(fits)}", turns.pairs)
-    elif fastest > _FASTEST_RAD_S:
-        text = f"imu: angular rates reach {fastest:.0f} rad/s, more than any gyro can read"
-        yield Finding("stop", "data.gyro_unit", text, f"likely: {_READ_AS_RAD_S}", rates.t_s.size)
+    elif look.too_fast > _MANY_TOO_FAST * 3 * look.used:
+        text = f"imu: angular rates reach {look.fastest_rad_s:.0f} rad/s, more than any gyro can read"
+        yield Finding("stop", "data.gyro_unit", text, f"likely: {_READ_AS_RAD_S}", look.used)
     elif believed and turns.slope < 0.0:
         text = f"imu: gyro and GNSS turn in opposite directions: {ratio}"
         hint = "gyro and accelerometer in different axes, or a left-handed sensor: check columns and axes"

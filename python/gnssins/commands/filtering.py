@@ -17,6 +17,7 @@ from gnssins.dataset import Dataset, TruthTable
 from gnssins.errors import InputError
 from gnssins.io import format_of, read_dataset
 from gnssins.outputs import FIGURE_FILES, RESULT_FILES, refuse_inputs, refuse_no_folder
+from gnssins.pieces import run_pieces as filter_pieces
 from gnssins.result import Result
 from gnssins.runner import run as run_filter
 from gnssins.terminal import heading, message, progress, put, put_json
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from gnssins.analysis import NavErrors
     from gnssins.checks import Finding
 
-__all__ = ["compare", "demo", "list_scenarios", "run", "simulate"]
+__all__ = ["compare", "demo", "list_scenarios", "run", "run_in_pieces", "simulate"]
 
 #: Files of ``--csv``: trajectory and fixes.
 TABLE_FILES: Final = ("navigation.csv", "measurements.csv")
@@ -113,6 +114,40 @@ def run(path: Path, out: Path | None, csv: bool, kml: bool, figures: bool, as_js
     for title, text in _tables(result, config, data):
         heading(title)
         put(text)
+    heading("Written")
+    put("\n".join(f"  {file}" for file in files))
+
+
+def run_in_pieces(path: Path, out: Path | None, rows: int, as_json: bool) -> None:
+    """``gnssins run --chunk-rows``."""
+    config = Config.load(path)
+    folder = out if out is not None else Path(f"{path.stem}-result")
+    refuse_no_folder(folder)
+    inputs = [path, config.imu.file, config.gnss.file, config.truth.file]
+    refuse_inputs([folder / name for name in RESULT_FILES], inputs)
+    with progress("filter") as bar:
+        result = filter_pieces(path, folder, rows=rows, progress=bar, told=None if as_json else _tell)
+    files = [str(folder / name) for name in RESULT_FILES]
+    joint = nis(result)
+    if as_json:
+        report = {
+            "start": _start(result),
+            "states": [state.name for state in result.states],
+            "counts": result.counts,
+            "events": result.event_counts(),
+            "findings": result.metadata["finding"],
+            "times": {k: v for k, v in result.metadata["run"].items() if k.endswith("_s")},
+            "nis": joint.to_dict(),
+            "files": files,
+        }
+        put_json({"config": str(path), "out": str(folder), **report})
+        return
+    put(start_line(result, config))
+    put(f"read and filtered in {result.metadata['run']['filter_s']:.2f} s, {rows} IMU rows at a time")
+    put("\n".join(_count_lines(result)))
+    if joint.groups:
+        heading("NIS of the fixes, before the gate")
+        put(joint.table(""))
     heading("Written")
     put("\n".join(f"  {file}" for file in files))
 

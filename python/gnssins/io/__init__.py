@@ -6,18 +6,23 @@ attributes of :class:`Format`, handed to :func:`register`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 from ..config import BaroConfig, Config, GnssConfig, HeadingConfig, ImuConfig, TruthConfig
-from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuTable, Source, TruthTable
+from ..dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuPiece, ImuTable, Source, TruthTable
 from ..errors import ConfigError, InputError
 from .csv import CsvFormat
 from .csv_writer import write_baro, write_gnss, write_heading, write_imu, write_truth
+from .parquet import ParquetFormat
 
 __all__ = [
     "Format",
     "format_of",
+    "imu_file",
+    "read_aids",
     "read_dataset",
     "register",
     "write_baro",
@@ -41,6 +46,9 @@ class Format(Protocol):
 
     def read_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
         """Read inertial samples."""
+
+    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[ImuPiece]:
+        """Read inertial samples in pieces of so many rows."""
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
         """Read fixes."""
@@ -114,15 +122,37 @@ def read_dataset(config: Config) -> Dataset:
     InputError
         Anything that cannot be read.
     """
+    file = imu_file(config)
+    imu, source = format_of(file).read_imu(file, config.imu)
+    others = read_aids(config)
+    truth, sources = None, {source.path: source, **others.sources}
+    if config.truth.file is not None:
+        truth, source = format_of(config.truth.file).read_truth(config.truth.file, config.truth)
+        sources[source.path] = source
+    return replace(others, imu=imu, truth=truth, sources=sources)
+
+
+def imu_file(config: Config) -> Path:
+    """Name of the IMU log.
+
+    Raises
+    ------
+    ConfigError
+        ``config.no_file``.
+    """
     if config.imu.file is None:
         raise ConfigError(
             "config.no_file",
             "[imu] file: missing, there is nothing to read",
             'add file = "imu.csv" to [imu], or hand over a data set',
         )
-    imu, source = format_of(config.imu.file).read_imu(config.imu.file, config.imu)
-    sources = {source.path: source}
-    gnss, baro, heading, truth = GnssTable.empty(), BaroTable.empty(), HeadingTable.empty(), None
+    return config.imu.file
+
+
+def read_aids(config: Config) -> Dataset:
+    """Read the files of the aids alone; the IMU table is empty. Errors as :func:`read_dataset`."""
+    sources: dict[str, Source] = {}
+    gnss, baro, heading = GnssTable.empty(), BaroTable.empty(), HeadingTable.empty()
     if config.gnss.file is not None:
         gnss, source = format_of(config.gnss.file).read_gnss(config.gnss.file, config.gnss)
         sources[source.path] = source
@@ -132,10 +162,8 @@ def read_dataset(config: Config) -> Dataset:
     if config.heading.file is not None:
         heading, source = format_of(config.heading.file).read_heading(config.heading.file, config.heading)
         sources[source.path] = source
-    if config.truth.file is not None:
-        truth, source = format_of(config.truth.file).read_truth(config.truth.file, config.truth)
-        sources[source.path] = source
-    return Dataset(imu, gnss, truth, sources, baro=baro, heading=heading)
+    return Dataset(ImuTable.empty(config.imu.kind), gnss, sources=sources, baro=baro, heading=heading)
 
 
 register(CsvFormat())
+register(ParquetFormat())

@@ -13,7 +13,7 @@ from ..units import TIME_DIGITS
 from .text import TextTable
 
 Mask = NDArray[np.bool_]
-_PRECISION = 38
+PRECISION = 38
 """Digits of the decimal type that times pass through: enough for int64 nanoseconds in any unit."""
 
 
@@ -58,7 +58,7 @@ def numbers(
             _judge(table, name, bad & ~out, "number")
             out |= bad
     table.count("no time stamp", int(no_time.sum()))
-    if out.all():
+    if out.all() and not table.piece:
         raise InputError(
             "input.no_rows",
             f"{table.path}: none of the {table.rows} rows can be used ({_reasons(table)})",
@@ -67,7 +67,8 @@ def numbers(
         )
     if out.any():
         keep = ~out
-        table.row, table.line, t_ns = table.row[keep], table.line[keep], t_ns[keep]
+        table.row, t_ns = table.row[keep], t_ns[keep]
+        table.line = None if table.line is None else table.line[keep]
         columns = {name: cells[keep] for name, cells in columns.items()}
     return t_ns, columns
 
@@ -79,15 +80,20 @@ def _reasons(table: TextTable) -> str:
 def _floats(cells: pl.Series, missing: str) -> tuple[NDArray[np.float64], Mask]:
     """Values with NaN where missing, and the rows whose cell is no number."""
     parsed = cells.cast(pl.Float64, strict=False)
-    values = parsed.to_numpy(writable=True)
-    if _looks_numeric(missing):
-        values[values == float(missing)] = np.nan
-    return values, _unread(cells, parsed, missing)
+    return as_missing(parsed.to_numpy(), missing), _unread(cells, parsed, missing)
+
+
+def as_missing(values: NDArray[np.float64], missing: str) -> NDArray[np.float64]:
+    """NaN for a number that stands for a missing value."""
+    if not _looks_numeric(missing):
+        return values
+    sentinel = values == float(missing)
+    return np.where(sentinel, np.nan, values) if sentinel.any() else values
 
 
 def _times(cells: pl.Series, unit: str, missing: str) -> tuple[NDArray[np.int64], Mask, Mask]:
     """Stamps in ns, the rows without a stamp, and the rows whose stamp is no number."""
-    decimal = cells.cast(pl.Decimal(_PRECISION, TIME_DIGITS[unit]), strict=False)
+    decimal = cells.cast(pl.Decimal(PRECISION, TIME_DIGITS[unit]), strict=False)
     parsed = decimal.to_physical().cast(pl.Int64, strict=False)
     bad = _unread(cells, parsed, missing)
     absent = parsed.is_null().to_numpy() & ~bad
@@ -96,7 +102,7 @@ def _times(cells: pl.Series, unit: str, missing: str) -> tuple[NDArray[np.int64]
 
 def _unread(cells: pl.Series, parsed: pl.Series, missing: str) -> Mask:
     """Rows whose cell holds text that is neither a number nor a missing value."""
-    if not parsed.null_count():
+    if not parsed.null_count() or cells.dtype != pl.String:
         return np.zeros(len(cells), dtype=np.bool_)
     tokens = list({missing.strip().lower(), "nan"})
     known = cells.str.to_lowercase().is_in(tokens).fill_null(value=True)
@@ -134,7 +140,7 @@ def _judge(table: TextTable, name: str, bad: Mask, what: str) -> None:
         {
             "file": str(table.path),
             "row": int(table.row[index]),
-            "line": int(table.line[index]),
+            "line": None if table.line is None else int(table.line[index]),
             "column": name,
             "count": count,
         },

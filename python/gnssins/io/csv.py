@@ -6,6 +6,8 @@ that are missing or not finite are passed on as they are: the engine judges them
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,12 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..config import BaroConfig, GnssConfig, HeadingConfig, ImuConfig, TruthConfig, axes_matrix
-from ..dataset import BaroTable, GnssTable, HeadingTable, ImuTable, Source, TruthTable
+from ..dataset import BaroTable, GnssTable, HeadingTable, ImuPiece, ImuTable, Source, TruthTable
 from ..errors import ConfigError, InputError
 from ..units import DEG_TO_RAD
 from .cells import numbers
-from .text import TextTable, read_text
+from .clean import read_clean
+from .text import TextTable, read_text, text_pieces
 
 Array = NDArray[np.float64]
 
@@ -31,7 +34,11 @@ class CsvFormat:
     """Delimited text with one header line, plain or gzip."""
 
     name = "csv"
-    suffixes = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz")
+    suffixes: tuple[str, ...] = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz")
+    clean = True
+    """Whether to try the short way of :mod:`gnssins.io.clean`."""
+    table = staticmethod(read_text)
+    pieces = staticmethod(text_pieces)
 
     def read_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
         """Read an IMU log into SI units and forward-right-down axes.
@@ -56,23 +63,50 @@ class CsvFormat:
             File, column, row or cell that cannot be read; see :mod:`gnssins.io.text` and
             :mod:`gnssins.io.cells`.
         """
-        values = (*config.gyro_columns, *config.accel_columns)
-        text = read_text(
+        table, source = (self.clean and _clean_imu(path, config)) or self._any_imu(path, config)
+        late = int((table.t_ns < np.maximum.accumulate(table.t_ns)).sum())
+        if config.on_backwards != "sort" or not late:
+            return table, source
+        order = np.argsort(table.t_ns, kind="stable")
+        return table.select(order), replace(source, sorted_rows=late)
+
+    def _any_imu(self, path: Path, config: ImuConfig) -> tuple[ImuTable, Source]:
+        """The long way: every flaw is named or counted."""
+        text = self.table(
             path,
             section="imu",
-            required=(config.time_column, *values),
+            required=_imu_columns(config),
             separator=config.separator,
             skip_bad=config.on_bad_row == "skip",
         )
-        t_ns, columns = numbers(text, config.time_column, config.time_unit, values, config.missing)
-        to_frd = axes_matrix(config.axes)
-        gyro = _turn(_stack(columns, config.gyro_columns) * config.gyro_factor(), to_frd)
-        accel = _turn(_stack(columns, config.accel_columns) * config.accel_factor(), to_frd)
-        late = int((t_ns < np.maximum.accumulate(t_ns)).sum())
-        sort = config.on_backwards == "sort" and late > 0
-        order = np.argsort(t_ns, kind="stable") if sort else slice(None)
-        table = ImuTable(t_ns[order], gyro[order], accel[order], config.kind)
-        return table, _source(text, late if sort else 0)
+        return _imu_of_text(text, config), _source(text)
+
+    def imu_pieces(self, path: Path, config: ImuConfig, rows: int) -> Iterator[ImuPiece]:
+        """Read an IMU log in pieces of so many rows, in the order of the file.
+
+        Parameters
+        ----------
+        path, config
+            As for :meth:`read_imu`; nothing is sorted here.
+        rows : int
+            Rows of a piece.
+
+        Yields
+        ------
+        ImuPiece
+            The next rows; none where all were skipped.
+        """
+        pieces = self.pieces(
+            path,
+            rows,
+            section="imu",
+            required=_imu_columns(config),
+            separator=config.separator,
+            skip_bad=config.on_bad_row == "skip",
+        )
+        for text in pieces:
+            table = _imu_of_text(text, config)
+            yield ImuPiece(table, _source(text), text.share)
 
     def read_gnss(self, path: Path, config: GnssConfig) -> tuple[GnssTable, Source]:
         """Read a GNSS log into radians, metres and north-east-down.
@@ -103,7 +137,7 @@ class CsvFormat:
         accuracy = (*config.position_sd_columns, *config.velocity_sd_columns)
         changed = config.new_constellation_column
         try:
-            text = read_text(
+            text = self.table(
                 path,
                 section="gnss",
                 required=(config.time_column, *position, *velocity),
@@ -157,7 +191,7 @@ class CsvFormat:
             ``config.no_accuracy``: neither the file nor the configuration tells the accuracy of some heights.
         """
         text, t_ns, height, sd = _one_value(
-            path, "baro", config, config.height_column, config.height_factor, config.height_sd_m
+            self.table, path, "baro", config, config.height_column, config.height_factor, config.height_sd_m
         )
         return BaroTable(t_ns, height + config.geoid_height_m, sd * np.abs(sd)), _source(text)
 
@@ -187,6 +221,7 @@ class CsvFormat:
         """
         given = config.heading_sd_deg
         text, t_ns, heading, sd = _one_value(
+            self.table,
             path,
             "heading",
             config,
@@ -220,7 +255,7 @@ class CsvFormat:
         """
         groups = (_TRUTH_POSITION, _TRUTH_VELOCITY, _TRUTH_EULER, _TRUTH_QUATERNION)
         values = tuple(name for group in groups for name in group)
-        text = read_text(path, section="truth", required=("time_s",), optional=values)
+        text = self.table(path, section="truth", required=("time_s",), optional=values)
         if not any(all(name in text.columns for name in group) for group in groups):
             raise InputError(
                 "input.column",
@@ -234,7 +269,35 @@ class CsvFormat:
         return TruthTable(t_ns, lla, v_n, _attitude(columns, t_ns.size)), _source(text)
 
 
+def _imu_columns(config: ImuConfig) -> tuple[str, ...]:
+    return (config.time_column, *config.gyro_columns, *config.accel_columns)
+
+
+def _clean_imu(path: Path, config: ImuConfig) -> tuple[ImuTable, Source] | None:
+    """The short way; None for a file that is not clean."""
+    time, *values = _imu_columns(config)
+    clean = read_clean(path, time, config.time_unit, values, config.missing, config.separator)
+    if clean is None:
+        return None
+    return _imu_table(clean.t_ns, clean.columns, config), Source(str(path), clean.sha256, clean.t_ns.size)
+
+
+def _imu_of_text(text: TextTable, config: ImuConfig) -> ImuTable:
+    """Cells to a table; what is skipped is counted in ``text``."""
+    time, *values = _imu_columns(config)
+    return _imu_table(*numbers(text, time, config.time_unit, values, config.missing), config)
+
+
+def _imu_table(t_ns: NDArray[np.int64], columns: dict[str, Array], config: ImuConfig) -> ImuTable:
+    """Columns to SI units and forward-right-down axes."""
+    to_frd = axes_matrix(config.axes)
+    gyro = _turned([columns[name] * config.gyro_factor() for name in config.gyro_columns], to_frd)
+    accel = _turned([columns[name] * config.accel_factor() for name in config.accel_columns], to_frd)
+    return ImuTable.of_own(t_ns, gyro, accel, config.kind)
+
+
 def _one_value(
+    read: Callable[..., TextTable],
     path: Path,
     section: str,
     config: BaroConfig | HeadingConfig,
@@ -243,7 +306,7 @@ def _one_value(
     given_sd: float | None,
 ) -> tuple[TextTable, NDArray[np.int64], Array, Array]:
     """Read an aid with one value per row: its stamps, values and standard deviations in SI, shapes (m,)."""
-    text = read_text(
+    text = read(
         path,
         section=section,
         required=(config.time_column, column),
@@ -276,18 +339,21 @@ def _stack(columns: dict[str, Array], names: tuple[str, ...], rows: int = 0) -> 
     return np.column_stack([columns.get(name, absent) for name in names])
 
 
-def _turn(values: Array, c: Array) -> Array:
-    """Turn the rows (n, 3) by a rotation; a value that is not finite stays in its row."""
+def _turned(axes: list[Array], c: Array) -> Array:
+    """Columns along three axes turned by a rotation, side by side; a value that is not finite stays in its row."""
     swap = np.abs(c).argmax(axis=1)
     sign = c[np.arange(3), swap]
     if np.array_equal(np.abs(sign), np.ones(3)):  # axes by letters: exact, and axis by axis
-        return np.asarray(values[:, swap] * sign)
+        out = np.empty((axes[0].size, 3))
+        for i in range(3):
+            np.multiply(axes[swap[i]], sign[i], out=out[:, i])
+        return out
     with np.errstate(invalid="ignore"):
-        return np.asarray(values @ c.T)
+        return np.asarray(np.column_stack(axes) @ c.T)
 
 
-def _source(text: TextTable, sorted_rows: int = 0) -> Source:
-    return Source(str(text.path), text.sha256, text.rows, dict(text.skipped), sorted_rows)
+def _source(text: TextTable) -> Source:
+    return Source(str(text.path), text.sha256, text.rows, dict(text.skipped))
 
 
 def _hint_use(error: InputError, config: GnssConfig) -> InputError:

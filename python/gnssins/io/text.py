@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +17,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .raw import read_raw
+from .raw import read_pieces, read_raw
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "space"}
 Integers = NDArray[np.int64]
@@ -40,11 +40,16 @@ class TextTable:
     rows : int
         Data rows in the file, blank lines not counted.
     columns : dict of str to polars.Series
-        Cells as text without blanks around them; null for an empty cell.
+        Cells as text without blanks around them, or as numbers; null for an empty cell.
     row, line : ndarray of int64
-        Number of each table row among the data rows (first = 1), and its line in the file (header = 1).
+        Number of each table row among the data rows (first = 1), and its line in the file (header = 1; None for files
+        without lines).
     skipped : dict of str to int
         Rows left out so far, by reason.
+    piece : bool
+        The table is a piece of a file: other pieces have rows too.
+    share : float
+        Share of the file that is read.
     """
 
     path: Path
@@ -54,12 +59,15 @@ class TextTable:
     rows: int
     columns: dict[str, pl.Series]
     row: Integers
-    line: Integers
+    line: Integers | None
     skipped: dict[str, int] = field(default_factory=dict)
+    piece: bool = False
+    share: float = 1.0
 
     def where(self, index: int) -> str:
         """Name a table row the way a user finds it: file, row, line."""
-        return f"{self.path.name} row {self.row[index]} (line {self.line[index]})"
+        line = "" if self.line is None else f" (line {self.line[index]})"
+        return f"{self.path.name} row {self.row[index]}{line}"
 
     def count(self, reason: str, rows: int) -> None:
         """Add to the skipped rows of a reason."""
@@ -114,25 +122,97 @@ def read_text(
     """
     raw = read_raw(path, section=section, accept_cut=skip_bad)
     head, body, lead = _take_header(raw.data)
-    names = _header(head, separator, path, section)
-    _require(required, names, path, section)
-    wanted = {name for name in names if name in required or name in optional}
-    split = _split_quoted if b'"' in body else _split_plain
-    lines, columns = split(body, names, wanted, separator)
-    good = lines.cells == len(names)
-    numbers = np.arange(1, good.size + 1, dtype=np.int64)
-    line = lines.number + lead
-    table = TextTable(path, raw.sha256, section, skip_bad, good.size, columns, numbers[good], line[good])
+    layout = _layout(path, head, section, required, optional, separator, skip_bad)
+    table = layout.table(body, line=lead, cut=raw.cut)
     if not table.rows:
-        raise InputError(
-            "input.no_rows",
-            f"{path}: a header line but no data rows",
-            "the logger wrote nothing, or the export was cut",
-            {"file": str(path)},
-        )
-    if not good.all():
-        _tell_ragged(table, names, lines, line, cut=raw.cut or not lines.complete)
+        raise no_rows(path)
+    table.sha256 = raw.sha256
     return table
+
+
+def text_pieces(
+    path: Path,
+    rows: int,
+    *,
+    section: str,
+    required: Sequence[str],
+    separator: str = ",",
+    skip_bad: bool = False,
+) -> Iterator[TextTable]:
+    """Read a delimited text file in pieces of so many rows; as :func:`read_text`, without the digest.
+
+    Yields
+    ------
+    TextTable
+        The next rows, numbered as in the file.
+    """
+    layout, seen, line = None, 0, 0
+    for data, cut, share in read_pieces(path, section=section, lines=rows, accept_cut=skip_bad):
+        body, lines = data, data.count(b"\n")
+        if layout is None:
+            head, body, lead = _take_header(data)
+            if not head.strip():
+                line += lines
+                continue
+            layout = _layout(path, head, section, required, (), separator, skip_bad)
+            table = layout.table(body, line=line + lead, cut=cut)
+        else:
+            table = layout.table(body, seen, line, cut=cut)
+        line, seen = line + lines, seen + table.rows
+        table.piece, table.share = True, share
+        if table.rows:
+            yield table
+    if not seen:
+        raise no_rows(path)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What the header and the configuration say about every row of a file."""
+
+    path: Path
+    section: str
+    names: list[str]
+    wanted: set[str]
+    separator: str
+    skip_bad: bool
+
+    def table(self, body: bytes, seen: int = 0, line: int = 0, *, cut: bool) -> TextTable:
+        """Split text into cells; ``seen`` rows and ``line`` lines of the file come before it."""
+        split = _split_quoted if b'"' in body else _split_plain
+        lines, columns = split(body, self.names, self.wanted, self.separator)
+        good = lines.cells == len(self.names)
+        row = np.arange(seen + 1, seen + good.size + 1, dtype=np.int64)
+        at = lines.number + line
+        table = TextTable(self.path, "", self.section, self.skip_bad, good.size, columns, row[good], at[good])
+        if not good.all():
+            _tell_ragged(table, self.names, lines, row, at, cut=cut or not lines.complete)
+        return table
+
+
+def _layout(
+    path: Path,
+    head: bytes,
+    section: str,
+    required: Sequence[str],
+    optional: Sequence[str],
+    separator: str,
+    skip_bad: bool,
+) -> _Layout:
+    names = _header(head, separator, path, section)
+    require_columns(required, names, path, section)
+    wanted = {name for name in names if name in required or name in optional}
+    return _Layout(path, section, names, wanted, separator, skip_bad)
+
+
+def no_rows(path: Path) -> InputError:
+    """Error of a file without rows."""
+    return InputError(
+        "input.no_rows",
+        f"{path}: a header line but no data rows",
+        "the logger wrote nothing, or the export was cut",
+        {"file": str(path)},
+    )
 
 
 def _take_header(data: bytes) -> tuple[bytes, bytes, int]:
@@ -181,7 +261,8 @@ def _looks_numeric(text: str) -> bool:
     return True
 
 
-def _require(required: Sequence[str], names: list[str], path: Path, section: str) -> None:
+def require_columns(required: Sequence[str], names: list[str], path: Path, section: str) -> None:
+    """Raise for columns that the file does not have."""
     missing = [name for name in required if name not in names]
     if not missing:
         return
@@ -261,7 +342,9 @@ def _tidy(cells: pl.Series) -> pl.Series:
     return cells.set(cells == "", None)
 
 
-def _tell_ragged(table: TextTable, names: list[str], lines: _Lines, line: Integers, cut: bool) -> None:
+def _tell_ragged(
+    table: TextTable, names: list[str], lines: _Lines, row: Integers, line: Integers, cut: bool
+) -> None:
     """Stop at, or count, the rows that have too few or too many cells."""
     bad = lines.cells != len(names)
     first = int(np.flatnonzero(bad)[0])
@@ -280,7 +363,7 @@ def _tell_ragged(table: TextTable, names: list[str], lines: _Lines, line: Intege
         what, hint = "too few cells", "the row is incomplete"
     raise InputError(
         "input.ragged",
-        f"{table.path}: row {first + 1} (line {line[first]}): {what}: {cells} instead of {len(names)}{many}",
+        f"{table.path}: row {row[first]} (line {line[first]}): {what}: {cells} instead of {len(names)}{many}",
         f'{hint}; or set [{table.section}] on_bad_row = "skip"',
-        {"file": str(table.path), "row": first + 1, "line": int(line[first]), "count": count},
+        {"file": str(table.path), "row": int(row[first]), "line": int(line[first]), "count": count},
     )

@@ -3,8 +3,11 @@
 use gnssins::frames::Lla;
 use gnssins::meas::gnss::GnssFix;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{
+    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyFloat, PyInt};
 
 use crate::errors;
 
@@ -40,16 +43,70 @@ pub fn rows3(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Vector3<f64>>
     }
 }
 
-/// One vector of three.
-pub fn vector3(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vector3<f64>> {
-    if let Ok([x, y, z]) = array.extract::<[f64; 3]>() {
+/// One vector of three. A float64 array is read in place, without the registry of borrows, which costs more than the
+/// reading; anything else that holds numbers goes the long way.
+pub fn vector3(values: &Bound<'_, PyAny>, name: &str) -> PyResult<Vector3<f64>> {
+    if let Ok(array) = values.cast::<PyArray1<f64>>()
+        && array.is_aligned()
+        && array.len() == 3
+        && let (Some(x), Some(y), Some(z)) =
+            (array.get_owned([0]), array.get_owned([1]), array.get_owned([2]))
+    {
         return Ok(Vector3::new(x, y, z));
     }
-    let (shape, v) = floats(array, name)?;
+    any_vector3(values, name)
+}
+
+#[cold]
+fn any_vector3(values: &Bound<'_, PyAny>, name: &str) -> PyResult<Vector3<f64>> {
+    if let Ok([x, y, z]) = values.extract::<[f64; 3]>() {
+        return Ok(Vector3::new(x, y, z));
+    }
+    let py = values.py();
+    let array = py.import("numpy")?.call_method1("array", (values, "float64")).map_err(|e| {
+        let message = format!("{name} is not numeric: {}", e.value(py));
+        errors::input(py, "input.dtype", &message, "give three numbers, NaN where one is absent")
+    })?;
+    let (shape, v) = floats(&array, name)?;
     match shape[..] {
         [3] => Ok(Vector3::new(v[0], v[1], v[2])),
-        _ => Err(shape_error(array.py(), name, "(3,)", &shape)),
+        _ => Err(shape_error(py, name, "(3,)", &shape)),
     }
+}
+
+/// Nanoseconds of a time: whole numbers are nanoseconds already, floating point is seconds.
+pub fn nanoseconds(t: &Bound<'_, PyAny>) -> PyResult<i64> {
+    if let Ok(seconds) = t.cast::<PyFloat>() {
+        return from_seconds(seconds.value()).ok_or_else(|| no_time(t));
+    }
+    if t.is_instance_of::<PyBool>() {
+        return Err(no_time(t));
+    }
+    match t.extract::<i64>() {
+        Ok(t_ns) => Ok(t_ns),
+        // beyond 64 bits
+        Err(_) if t.is_instance_of::<PyInt>() => Err(no_time(t)),
+        Err(_) => t.extract().ok().and_then(from_seconds).ok_or_else(|| no_time(t)),
+    }
+}
+
+/// Whole seconds and fraction apart, to keep all digits; half to even.
+fn from_seconds(seconds: f64) -> Option<i64> {
+    let whole = seconds.floor();
+    let fraction_ns = ((seconds - whole) * 1e9).round_ties_even();
+    // 2^63 ns are 9.2e9 s
+    (whole.abs() < 9.2e9).then(|| whole as i64 * 1_000_000_000 + fraction_ns as i64)
+}
+
+#[cold]
+fn no_time(t: &Bound<'_, PyAny>) -> PyErr {
+    let shown = t.repr().map_or_else(|_| "?".into(), |r| r.to_string());
+    errors::input(
+        t.py(),
+        "input.time",
+        &format!("a row with the time {shown}, needs a finite number"),
+        "give seconds as float or nanoseconds as int; leave out rows without a time",
+    )
 }
 
 /// Rows of four as unit quaternions, scalar first.
@@ -89,18 +146,39 @@ pub fn column(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<f64>> {
 
 /// Time stamps, ns.
 pub fn times(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<i64>> {
-    let py = array.py();
-    let array: PyReadonlyArrayDyn<'_, i64> = array.extract().map_err(|_| {
-        errors::input(
-            py,
-            "input.dtype",
-            &format!("{name}: need an int64 array of nanoseconds"),
-            "convert with numpy.rint(seconds * 1e9).astype(numpy.int64), or read decimal text exactly",
-        )
-    })?;
-    match array.shape() {
-        [_] => Ok(array.as_array().iter().copied().collect()),
-        shape => Err(shape_error(py, name, "(n,)", shape)),
+    let array = time_column(array, name)?;
+    Ok(array.try_readonly()?.as_array().iter().copied().collect())
+}
+
+/// Time stamps, ns, as they lie in the array.
+pub fn time_column<'py>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<Bound<'py, PyArray1<i64>>> {
+    typed(
+        array,
+        name,
+        "an int64 array of nanoseconds, shape (n,)",
+        "convert with numpy.rint(seconds * 1e9).astype(numpy.int64), or read decimal text exactly",
+    )
+}
+
+/// Rows of three as they lie in the array.
+pub fn table3<'py>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let table: Bound<'_, PyArray2<f64>> =
+        typed(array, name, "a float64 array of shape (n, 3)", "convert with numpy.asarray(x, dtype=float)")?;
+    match table.shape() {
+        [_, 3] => Ok(table),
+        shape => Err(shape_error(array.py(), name, "(n, 3)", shape)),
+    }
+}
+
+fn typed<'py, T: Element, D: numpy::ndarray::Dimension>(
+    array: &Bound<'py, PyAny>,
+    name: &str,
+    need: &str,
+    hint: &str,
+) -> PyResult<Bound<'py, PyArray<T, D>>> {
+    match array.cast::<PyArray<T, D>>() {
+        Ok(array) if array.is_aligned() => Ok(array.clone()),
+        _ => Err(errors::input(array.py(), "input.dtype", &format!("{name}: need {need}"), hint)),
     }
 }
 

@@ -18,6 +18,18 @@ pub fn raise(py: Python<'_>, code: &str, message: &str, hint: &str, context: &Bo
 
 /// An error of the crate.
 pub fn from_crate(py: Python<'_>, error: &Error) -> PyErr {
+    raise(py, error.code(), &message(error), error.hint(), &context(py, error))
+}
+
+/// An error of the crate at a row of a block, counted from 0: what came before it was taken.
+pub fn in_block(py: Python<'_>, error: &Error, row: usize) -> PyErr {
+    let context = context(py, error);
+    drop(context.set_item("block_row", row));
+    let message = format!("{}; row {row} of the block", message(error));
+    raise(py, error.code(), &message, error.hint(), &context)
+}
+
+fn context<'py>(py: Python<'py>, error: &Error) -> Bound<'py, PyDict> {
     let context = PyDict::new(py);
     // a dictionary cannot refuse a string key with a number: failures leave the context shorter
     let set = |key: &str, value: f64| drop(context.set_item(key, value));
@@ -45,7 +57,7 @@ pub fn from_crate(py: Python<'_>, error: &Error) -> PyErr {
         }
         _ => {}
     }
-    raise(py, error.code(), &message(error), error.hint(), &context)
+    context
 }
 
 /// The message with times in seconds, as users read them.

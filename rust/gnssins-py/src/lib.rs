@@ -1,6 +1,7 @@
 //! Python binding of the `gnssins` crate: conversion of arguments and results, no mathematics.
 
 mod ahrs;
+mod block;
 mod config;
 mod convert;
 mod engine;
@@ -35,6 +36,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(run::run, m)?)?;
     m.add_function(wrap_pyfunction!(ahrs::ahrs_run, m)?)?;
     m.add_function(wrap_pyfunction!(ahrs::ahrs_flags, m)?)?;
+    m.add_class::<run::Run>()?;
     m.add_class::<navigator::Navigator>()?;
     m.add_class::<monte_carlo::PyMonteCarlo>()?;
     m.add_function(wrap_pyfunction!(monte_carlo::monte_carlo_deviates, m)?)?;

@@ -294,7 +294,7 @@ fn error_dynamics<'py>(
         false => Ned::new(earth, &start).map_err(own)?.dynamics(&f_b),
     };
     let out = PyDict::new(py);
-    out.set_item("f", dense(py, &d.f)?)?;
+    out.set_item("f", dense(py, &d.f())?)?;
     out.set_item("gyro", dense(py, &d.gyro_coupling())?)?;
     out.set_item("accel", dense(py, &d.accel_coupling())?)?;
     Ok(out)

@@ -1,4 +1,6 @@
-//! A whole log in one call, with the GIL released.
+//! A whole log in one call or in pieces, with the GIL released.
+
+use std::ops::Range;
 
 use gnssins::error::Error;
 use gnssins::meas::baro::BaroHeight;
@@ -11,12 +13,10 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList};
 
+use crate::block::ImuColumns;
 use crate::config::{EngineConfig, StateInfo};
 use crate::engine::{self, Engine, Linear, Log};
 use crate::{convert, errors};
-
-/// IMU rows between two looks at signals and the progress callback.
-const ROWS_PER_LOOK: usize = 16_384;
 
 /// Columns of the result.
 #[derive(Debug, Default)]
@@ -29,8 +29,13 @@ pub struct Columns {
     sd: Vec<f64>,
     x: Vec<f64>,
     x_sd: Vec<f64>,
-    cov_t_ns: Vec<i64>,
-    cov: Vec<f64>,
+}
+
+/// Snapshots of the covariance.
+#[derive(Debug, Default)]
+struct Snapshots {
+    t_ns: Vec<i64>,
+    matrix: Vec<f64>,
 }
 
 impl Columns {
@@ -49,12 +54,25 @@ impl Columns {
         engine.blocks(&mut self.x, &mut self.x_sd);
     }
 
-    fn push_covariance(&mut self, engine: &dyn Engine) {
-        self.cov_t_ns.push(engine.t_ns());
-        engine.covariance(&mut self.cov);
+    /// Makes room for the rows that will come: no column is moved while it grows.
+    fn reserve(&mut self, rows: usize, states: usize) {
+        self.t_ns.reserve(rows);
+        let blocks = states - gnssins::nav::NAV;
+        for (column, width) in [
+            (&mut self.lla, 3),
+            (&mut self.v_n, 3),
+            (&mut self.rpy, 3),
+            (&mut self.q_nb, 4),
+            (&mut self.sd, 9),
+            (&mut self.x, blocks),
+            (&mut self.x_sd, blocks),
+        ] {
+            column.reserve(rows * width);
+        }
     }
 
-    fn fill(self, out: &Bound<'_, PyDict>, n: usize) -> PyResult<()> {
+    /// Hands the columns over to NumPy; `n` states.
+    pub fn fill(self, out: &Bound<'_, PyDict>, n: usize) -> PyResult<()> {
         let py = out.py();
         let blocks = n - gnssins::nav::NAV;
         let rows = self.t_ns.len();
@@ -72,25 +90,36 @@ impl Columns {
             use numpy::PyArrayMethods;
             out.set_item(key, PyArray1::from_vec(py, values).reshape([rows, blocks])?)?;
         }
-        out.set_item("cov_t_ns", PyArray1::from_vec(py, self.cov_t_ns))?;
-        out.set_item("cov", convert::array3(py, self.cov, n, n)?)
+        Ok(())
     }
 }
 
 /// Emits at the first row and then at the first row of each multiple of the interval, so that all outputs of a log, and
 /// those of other logs on the same clock, share one grid.
-struct Grid {
+pub struct Grid {
     interval_ns: i64,
-    cell: Option<i64>,
+    /// The cell of the last row.
+    cell: Range<i64>,
 }
 
 impl Grid {
-    fn new(interval_ns: i64) -> Self {
-        Self { interval_ns: interval_ns.max(1), cell: None }
+    pub fn new(interval_ns: i64) -> Self {
+        Self { interval_ns: interval_ns.max(1), cell: 0..0 }
     }
 
-    fn due(&mut self, t_ns: i64) -> bool {
-        self.cell.replace(t_ns.div_euclid(self.interval_ns)) != Some(t_ns.div_euclid(self.interval_ns))
+    pub fn due(&mut self, t_ns: i64) -> bool {
+        if self.cell.contains(&t_ns) {
+            return false;
+        }
+        let start = t_ns.div_euclid(self.interval_ns).saturating_mul(self.interval_ns);
+        self.cell = start..start.saturating_add(self.interval_ns);
+        true
+    }
+
+    /// Rows that a stretch of a log with so many rows gives at most.
+    pub fn rows(&self, rows: usize, (first_ns, last_ns): (i64, i64)) -> usize {
+        let cells = last_ns.saturating_sub(first_ns) / self.interval_ns;
+        rows.min(usize::try_from(cells).unwrap_or(0).saturating_add(2))
     }
 }
 
@@ -115,21 +144,123 @@ pub fn run<'py>(
     heading: Option<Scalar<'py>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = EngineConfig::parse(py, config_json)?;
-    let mut engine = engine::build(py, &config)?;
-    let imu = Imu {
-        t_ns: convert::times(imu_t_ns, "imu_t_ns")?,
-        gyro: convert::rows3(gyro, "gyro")?,
-        accel: convert::rows3(accel, "accel")?,
-    };
-    convert::same_length(py, "IMU table", &[imu.t_ns.len(), imu.gyro.len(), imu.accel.len()])?;
+    let imu = ImuColumns::new(imu_t_ns, gyro, accel)?;
     refuse_bad_share(py, &imu, config.imu.max_bad_share)?;
+    let aids = aids(gnss_t_ns, gnss_pos, gnss_vel, gnss_var, gnss_new, baro, heading)?;
+    let mut job = Job::new(py, &config, aids)?;
+    job.imu(py, &imu, progress.as_ref())?;
+    job.finish(py)?;
+    look(py, progress.as_ref(), 1.0)?;
+    let out = job.take_columns(py)?;
+    job.describe(&out)?;
+    Ok(out)
+}
+
+/// A run whose IMU log comes in pieces, for logs that do not fit in memory. See the stub for shapes and units.
+#[pyclass(module = "gnssins._core")]
+pub struct Run(Job);
+
+#[pymethods]
+impl Run {
+    #[new]
+    #[pyo3(signature = (config_json, gnss_t_ns, gnss_pos, gnss_vel, gnss_var, *, gnss_new=None, baro=None, heading=None))]
+    #[expect(clippy::too_many_arguments, reason = "columns of three tables")]
+    fn new<'py>(
+        py: Python<'py>,
+        config_json: &str,
+        gnss_t_ns: &Bound<'py, PyAny>,
+        gnss_pos: &Bound<'py, PyAny>,
+        gnss_vel: &Bound<'py, PyAny>,
+        gnss_var: &Bound<'py, PyAny>,
+        gnss_new: Option<&Bound<'py, PyAny>>,
+        baro: Option<Scalar<'py>>,
+        heading: Option<Scalar<'py>>,
+    ) -> PyResult<Self> {
+        let aids = aids(gnss_t_ns, gnss_pos, gnss_vel, gnss_var, gnss_new, baro, heading)?;
+        Ok(Self(Job::new(py, &EngineConfig::parse(py, config_json)?, aids)?))
+    }
+
+    /// Name, unit, block and kind of every error state.
+    fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        state_list(py, &self.0.states)
+    }
+
+    /// Takes the next rows of the IMU log; the columns of the result that they give.
+    fn imu<'py>(
+        &mut self,
+        t_ns: &Bound<'py, PyAny>,
+        gyro: &Bound<'py, PyAny>,
+        accel: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let py = t_ns.py();
+        self.0.imu(py, &ImuColumns::new(t_ns, gyro, accel)?, None)?;
+        self.0.take_columns(py)
+    }
+
+    /// Ends the log: what a run knows beside its columns.
+    fn finish<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        self.0.finish(py)?;
+        let out = PyDict::new(py);
+        self.0.describe(&out)?;
+        Ok(out)
+    }
+}
+
+fn refuse_bad_share(py: Python<'_>, imu: &ImuColumns<'_>, limit: f64) -> PyResult<()> {
+    let rows = imu.len();
+    if rows == 0 {
+        return Err(errors::input(py, "input.empty", "IMU table: 0 rows", "check the file and the time cut"));
+    }
+    let (mut count, mut first) = (0, None);
+    imu.in_blocks(
+        |_| Ok(()),
+        |start, block| {
+            for row in block.bad_rows() {
+                count += 1;
+                first.get_or_insert(start + row);
+            }
+            Ok(())
+        },
+    )?;
+    match first {
+        Some(first) if count as f64 > limit * rows as f64 => Err(errors::input(
+            py,
+            "data.bad_share",
+            &format!(
+                "IMU table: {count} of {rows} rows hold NaN or infinity (first: row {first}), limit {:.1} %",
+                100.0 * limit
+            ),
+            "clean the log, or raise [imu] max_bad_share",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Columns of an aid with one value: stamps, values, variances.
+type Scalar<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
+
+/// Rows of the aids, by source.
+type Aids = [Vec<Observation>; SOURCES];
+
+/// Rows of the tables in the order in which they were fed, by source.
+type Order = [Vec<usize>; SOURCES];
+
+fn aids<'py>(
+    gnss_t_ns: &Bound<'py, PyAny>,
+    gnss_pos: &Bound<'py, PyAny>,
+    gnss_vel: &Bound<'py, PyAny>,
+    gnss_var: &Bound<'py, PyAny>,
+    gnss_new: Option<&Bound<'py, PyAny>>,
+    baro: Option<Scalar<'py>>,
+    heading: Option<Scalar<'py>>,
+) -> PyResult<Aids> {
     let mut fixes = convert::fixes(gnss_t_ns, gnss_pos, gnss_vel, gnss_var)?;
     for (fix, new) in fixes.iter_mut().zip(convert::marks(gnss_new, "gnss_new", gnss_t_ns.len()?)?) {
         fix.new_constellation = new;
     }
     let heights = convert::scalar_rows(baro, "baro")?.into_iter();
     let headings = convert::scalar_rows(heading, "heading")?.into_iter();
-    let aids = [
+    Ok([
         fixes.into_iter().map(Observation::Gnss).collect(),
         heights
             .map(|(t_ns, height_m, variance)| Observation::Baro(BaroHeight { t_ns, height_m, variance }))
@@ -139,155 +270,142 @@ pub fn run<'py>(
                 Observation::Heading(Heading { t_ns, heading_rad, variance })
             })
             .collect(),
-    ];
-
-    let states = config.states(py)?;
-    let mut job = Job::new(&config, engine.as_mut(), aids);
-    job.log.linear = config.output.linearise.then(|| Linear::new(states.len()));
-    py.detach(|| job.run(&imu, progress.as_ref()))?;
-    let Job { columns, log, order, .. } = job;
-
-    let out = PyDict::new(py);
-    columns.fill(&out, states.len())?;
-    out.set_item("states", state_list(py, &states)?)?;
-    out.set_item("meas", records(py, &log.records, &order[Source::Gnss.index()])?)?;
-    for source in [Source::Baro, Source::Heading] {
-        out.set_item(source.name(), scalar_records(py, &log.records, source, &order[source.index()])?)?;
-    }
-    out.set_item("events", event_list(py, &log.events, Some(&order))?)?;
-    out.set_item("counts", count_dict(py, engine.as_ref())?)?;
-    if let Some(linear) = log.linear {
-        out.set_item("lin", linear_dict(py, linear, states.len())?)?;
-    }
-    let saved = engine.save().map_err(|e| errors::from_crate(py, &e))?;
-    out.set_item("final_state", PyBytes::new(py, &saved))?;
-    Ok(out)
+    ])
 }
-
-struct Imu {
-    t_ns: Vec<i64>,
-    gyro: Vec<Vector3<f64>>,
-    accel: Vec<Vector3<f64>>,
-}
-
-fn refuse_bad_share(py: Python<'_>, imu: &Imu, limit: f64) -> PyResult<()> {
-    let bad = |v: &Vector3<f64>| v.iter().any(|x| !x.is_finite());
-    let rows = imu.t_ns.len();
-    let count = imu.gyro.iter().zip(&imu.accel).filter(|(g, a)| bad(g) || bad(a)).count();
-    if rows == 0 {
-        return Err(errors::input(py, "input.empty", "IMU table: 0 rows", "check the file and the time cut"));
-    }
-    if count as f64 <= limit * rows as f64 {
-        return Ok(());
-    }
-    let first = imu.gyro.iter().zip(&imu.accel).position(|(g, a)| bad(g) || bad(a)).unwrap_or(0);
-    Err(errors::input(
-        py,
-        "data.bad_share",
-        &format!(
-            "IMU table: {count} of {rows} rows hold NaN or infinity (first: row {first}), limit {:.1} %",
-            100.0 * limit
-        ),
-        "clean the log, or raise [imu] max_bad_share",
-    ))
-}
-
-/// Columns of an aid with one value: stamps, values, variances.
-type Scalar<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
-
-/// Rows of the tables in the order in which they were fed, by source.
-type Order = [Vec<usize>; SOURCES];
 
 /// A run on its way.
-struct Job<'a> {
-    engine: &'a mut dyn Engine,
-    /// Rows of all aids by time of validity.
-    aids: Vec<Observation>,
+struct Job {
+    engine: Box<dyn Engine>,
+    states: Vec<StateInfo>,
+    /// Times of validity and rows of all aids, by that time.
+    aids: Vec<(i64, Observation)>,
+    /// The first of them that the engine does not have yet.
+    next: usize,
     order: Order,
     columns: Columns,
+    snapshots: Snapshots,
     log: Log,
     output: Grid,
     covariance: Option<Grid>,
 }
 
-impl<'a> Job<'a> {
-    fn new(config: &EngineConfig, engine: &'a mut dyn Engine, tables: [Vec<Observation>; SOURCES]) -> Self {
-        let mut aids: Vec<(usize, Observation)> =
-            tables.into_iter().flat_map(|table| table.into_iter().enumerate()).collect();
+impl Job {
+    fn new(py: Python<'_>, config: &EngineConfig, tables: Aids) -> PyResult<Self> {
+        let engine = engine::build(py, config)?;
+        let states = config.states(py)?;
+        let mut aids: Vec<(usize, i64, Observation)> = vec![];
+        for (row, aid) in tables.into_iter().flat_map(|table| table.into_iter().enumerate()) {
+            aids.push((row, engine.valid_ns(aid.source(), aid.t_ns()), aid));
+        }
         // stable: where times are equal GNSS comes first, and rows keep their order
-        aids.sort_by_key(|(_, aid)| engine.valid_ns(aid.source(), aid.t_ns()));
+        aids.sort_by_key(|(_, valid_ns, _)| *valid_ns);
         let mut order = Order::default();
-        for (row, aid) in &aids {
+        for (row, _, aid) in &aids {
             order[aid.source().index()].push(*row);
         }
-        let aids = aids.into_iter().map(|(_, aid)| aid).collect();
         let every = config.output.covariance_interval_ns;
-        Self {
+        let linear = config.output.linearise.then(|| Linear::new(states.len()));
+        Ok(Self {
             engine,
-            aids,
+            states,
+            aids: aids.into_iter().map(|(_, valid_ns, aid)| (valid_ns, aid)).collect(),
+            next: 0,
             order,
             columns: Columns::default(),
-            log: Log::default(),
+            snapshots: Snapshots::default(),
+            log: Log { linear, ..Log::default() },
             output: Grid::new(config.output.interval_ns),
             covariance: (every > 0).then(|| Grid::new(every)),
-        }
+        })
     }
 
-    fn run(&mut self, imu: &Imu, progress: Option<&Py<PyAny>>) -> PyResult<()> {
-        let mut next = 0;
-        let rows = imu.t_ns.len();
-        for k in 0..rows {
-            if k % ROWS_PER_LOOK == 0 {
-                look(progress, k as f64 / rows as f64)?;
-            }
-            self.row(imu, k, &mut next).map_err(|e| Python::attach(|py| errors::from_crate(py, &e)))?;
+    fn imu(&mut self, py: Python<'_>, imu: &ImuColumns<'_>, progress: Option<&Py<PyAny>>) -> PyResult<()> {
+        if let Some(span_ns) = imu.span_ns() {
+            self.columns.reserve(self.output.rows(imu.len(), span_ns), self.states.len());
         }
-        for aid in &self.aids[next..] {
-            match self.engine.aid(aid, &mut self.log) {
-                // more rows after the end of the IMU log than the queue holds: flush and go on
-                Err(Error::QueueFull { .. }) => {
-                    self.engine.finish(&mut self.log);
-                    self.engine
-                        .aid(aid, &mut self.log)
+        imu.in_blocks(
+            |share| look(py, progress, share),
+            |_, block| {
+                for (t_ns, gyro, accel) in block.rows() {
+                    self.row(t_ns, &gyro, &accel)
                         .map_err(|e| Python::attach(|py| errors::from_crate(py, &e)))?;
                 }
-                other => other.map_err(|e| Python::attach(|py| errors::from_crate(py, &e)))?,
-            }
-        }
-        self.engine.finish(&mut self.log);
-        look(progress, 1.0)
+                Ok(())
+            },
+        )
     }
 
-    fn row(&mut self, imu: &Imu, k: usize, next: &mut usize) -> Result<(), Error> {
-        let t_ns = imu.t_ns[k];
-        let due = |aid: &&Observation| self.engine.valid_ns(aid.source(), aid.t_ns()) <= t_ns;
-        let ready = self.aids[*next..].iter().take_while(due).count();
-        for aid in &self.aids[*next..*next + ready] {
+    fn row(&mut self, t_ns: i64, gyro: &Vector3<f64>, accel: &Vector3<f64>) -> Result<(), Error> {
+        while let Some((_, aid)) = self.aids.get(self.next).filter(|(valid_ns, _)| *valid_ns <= t_ns) {
             self.engine.aid(aid, &mut self.log)?;
+            self.next += 1;
         }
-        *next += ready;
-        self.engine.imu(t_ns, &imu.gyro[k], &imu.accel[k], &mut self.log)?;
+        self.engine.imu(t_ns, gyro, accel, &mut self.log)?;
         if self.engine.t_ns() == t_ns {
             if self.output.due(t_ns) {
-                self.columns.push(self.engine);
+                self.columns.push(self.engine.as_ref());
             }
             if self.covariance.as_mut().is_some_and(|g| g.due(t_ns)) {
-                self.columns.push_covariance(self.engine);
+                self.snapshots.t_ns.push(t_ns);
+                self.engine.covariance(&mut self.snapshots.matrix);
             }
         }
         Ok(())
+    }
+
+    /// Hands over the aids that come after the last IMU row and ends the log.
+    fn finish(&mut self, py: Python<'_>) -> PyResult<()> {
+        for (_, aid) in &self.aids[self.next..] {
+            let mut taken = self.engine.aid(aid, &mut self.log);
+            if let Err(Error::QueueFull { .. }) = taken {
+                // more rows after the end of the IMU log than the queue holds: flush and go on
+                self.engine.finish(&mut self.log);
+                taken = self.engine.aid(aid, &mut self.log);
+            }
+            taken.map_err(|e| errors::from_crate(py, &e))?;
+        }
+        self.next = self.aids.len();
+        self.engine.finish(&mut self.log);
+        Ok(())
+    }
+
+    /// The columns since the last call.
+    fn take_columns<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (out, n) = (PyDict::new(py), self.states.len());
+        std::mem::take(&mut self.columns).fill(&out, n)?;
+        let Snapshots { t_ns, matrix } = std::mem::take(&mut self.snapshots);
+        out.set_item("cov_t_ns", PyArray1::from_vec(py, t_ns))?;
+        out.set_item("cov", convert::array3(py, matrix, n, n)?)?;
+        Ok(out)
+    }
+
+    /// States, records, events, counts and the saved engine.
+    fn describe(&mut self, out: &Bound<'_, PyDict>) -> PyResult<()> {
+        let (py, order) = (out.py(), &self.order);
+        let log = std::mem::take(&mut self.log);
+        out.set_item("states", state_list(py, &self.states)?)?;
+        out.set_item("meas", records(py, &log.records, &order[Source::Gnss.index()])?)?;
+        for source in [Source::Baro, Source::Heading] {
+            let rows = scalar_records(py, &log.records, source, &order[source.index()])?;
+            out.set_item(source.name(), rows)?;
+        }
+        out.set_item("events", event_list(py, &log.events, Some(order))?)?;
+        out.set_item("counts", count_dict(py, self.engine.as_ref())?)?;
+        if let Some(linear) = log.linear {
+            out.set_item("lin", linear_dict(py, linear, self.states.len())?)?;
+        }
+        let saved = self.engine.save().map_err(|e| errors::from_crate(py, &e))?;
+        out.set_item("final_state", PyBytes::new(py, &saved))
     }
 }
 
 /// Lets Ctrl-C through and reports progress.
-fn look(progress: Option<&Py<PyAny>>, share: f64) -> PyResult<()> {
-    Python::attach(|py| {
-        py.check_signals()?;
-        if let Some(f) = progress {
-            f.call1(py, (share,))?;
-        }
-        Ok(())
-    })
+fn look(py: Python<'_>, progress: Option<&Py<PyAny>>, share: f64) -> PyResult<()> {
+    py.check_signals()?;
+    if let Some(f) = progress {
+        f.call1(py, (share,))?;
+    }
+    Ok(())
 }
 
 /// States as a list of dictionaries.

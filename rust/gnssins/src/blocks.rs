@@ -36,7 +36,32 @@ const XYZ: &[&str] = &["x", "y", "z"];
 const NED: &[&str] = &["n", "e", "d"];
 const OFF_DIAGONAL: &[&str] = &["xy", "xz", "yx", "yz", "zx", "zy"];
 /// Row and column of the off-diagonal elements in the order of the misalignment states.
-const OFF_DIAGONAL_INDEX: [(usize, usize); 6] = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)];
+const OFF_DIAGONAL_INDEX: [(Axis, Axis); 6] = [
+    (Axis::X, Axis::Y),
+    (Axis::X, Axis::Z),
+    (Axis::Y, Axis::X),
+    (Axis::Y, Axis::Z),
+    (Axis::Z, Axis::X),
+    (Axis::Z, Axis::Y),
+];
+
+/// One of three axes: an index that is never out of range.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub(crate) enum Axis {
+    X,
+    Y,
+    Z,
+}
+
+/// The axis of state `i` of a block of three.
+const fn axis(i: usize) -> Axis {
+    match i {
+        0 => Axis::X,
+        1 => Axis::Y,
+        _ => Axis::Z,
+    }
+}
 
 impl BlockKind {
     /// Number of states.
@@ -96,16 +121,16 @@ impl BlockKind {
     #[must_use]
     pub(crate) const fn coupling(self, i: usize) -> Coupling {
         match self {
-            Self::GyroBias => Coupling::Gyro(Input { axis: i, source: Source::Unit }),
-            Self::AccelBias => Coupling::Accel(Input { axis: i, source: Source::Unit }),
-            Self::GyroScale => Coupling::Gyro(Input { axis: i, source: Source::Component(i) }),
-            Self::AccelScale => Coupling::Accel(Input { axis: i, source: Source::Component(i) }),
+            Self::GyroBias => Coupling::Gyro(Input { axis: axis(i), source: Source::Unit }),
+            Self::AccelBias => Coupling::Accel(Input { axis: axis(i), source: Source::Unit }),
+            Self::GyroScale => Coupling::Gyro(Input { axis: axis(i), source: Source::Component(axis(i)) }),
+            Self::AccelScale => Coupling::Accel(Input { axis: axis(i), source: Source::Component(axis(i)) }),
             Self::GyroMisalignment => Coupling::Gyro(off_diagonal(i)),
             Self::AccelMisalignment => Coupling::Accel(off_diagonal(i)),
-            Self::GnssLeverArm => Coupling::LeverArm(i),
+            Self::GnssLeverArm => Coupling::LeverArm(axis(i)),
             Self::BaroBias => Coupling::Baro,
-            Self::GnssPositionError => Coupling::GnssPosition(i),
-            Self::GnssVelocityError => Coupling::GnssVelocity(i),
+            Self::GnssPositionError => Coupling::GnssPosition(axis(i)),
+            Self::GnssVelocityError => Coupling::GnssVelocity(axis(i)),
         }
     }
 }
@@ -118,7 +143,7 @@ const fn off_diagonal(i: usize) -> Input {
 /// How one inertial error state acts: on sensor `axis`, by the factor `source`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Input {
-    pub axis: usize,
+    pub axis: Axis,
     pub source: Source,
 }
 
@@ -128,7 +153,7 @@ pub(crate) enum Source {
     /// A bias: the state itself.
     Unit,
     /// A matrix element: the state times this component of the true rate or specific force.
-    Component(usize),
+    Component(Axis),
 }
 
 /// Where a block state enters.
@@ -136,10 +161,10 @@ pub(crate) enum Source {
 pub(crate) enum Coupling {
     Gyro(Input),
     Accel(Input),
-    LeverArm(usize),
+    LeverArm(Axis),
     Baro,
-    GnssPosition(usize),
-    GnssVelocity(usize),
+    GnssPosition(Axis),
+    GnssVelocity(Axis),
 }
 
 /// How the states of a block move by themselves. Arrays hold one value per state; the rest is ignored.
@@ -247,15 +272,5 @@ impl Block {
             return Err(Error::Config { what, need, got });
         }
         Ok(())
-    }
-
-    /// Largest standard deviation that state `i` has by itself: that of the start or of the stationary process, a jump
-    /// included.
-    pub(crate) fn most_sd(&self, i: usize) -> f64 {
-        let stationary = match &self.process {
-            Process::GaussMarkov { sd, .. } => sd[i],
-            Process::Constant | Process::RandomWalk { .. } => 0.0,
-        };
-        self.initial_sd[i].max(stationary).max(self.jump_sd[i])
     }
 }

@@ -1,13 +1,30 @@
 //! Covariance: block-structured prediction, scalar Joseph update, health.
 
-use crate::discretise::{Column, Transition};
+use crate::discretise::{BlockStep, LAST, Transition};
 use crate::error::Error;
 use crate::math;
 use crate::nav::NAV;
-use crate::simd::{self, Aligned, Isa, Kernel, madd};
+use crate::simd::{self, Aligned, Eight, Isa, Kernel, LANES, Lanes, Plain, madd, one_by_one};
 
-/// Columns that the prediction kernel keeps in registers.
-const LANES: usize = 8;
+/// Calls a kernel for all nine rows, as many at a time as registers hold.
+macro_rules! by_groups {
+    ($e:ident, $cap:ident, $kernel:ident, ($($arg:expr),*)) => {
+        match $e::SUMS {
+            9.. => $kernel::<$e, $cap, 0, 9>($($arg),*),
+            5.. => {
+                $kernel::<$e, $cap, 0, 5>($($arg),*);
+                $kernel::<$e, $cap, 5, 4>($($arg),*);
+            }
+            _ => {
+                $kernel::<$e, $cap, 0, 2>($($arg),*);
+                $kernel::<$e, $cap, 2, 2>($($arg),*);
+                $kernel::<$e, $cap, 4, 2>($($arg),*);
+                $kernel::<$e, $cap, 6, 2>($($arg),*);
+                $kernel::<$e, $cap, 8, 1>($($arg),*);
+            }
+        }
+    };
+}
 
 /// Symmetric covariance of up to `CAP` states; rows beyond the `n` in use are zero. `CAP` is a multiple of 8.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,76 +91,114 @@ impl<const CAP: usize> Covariance<CAP> {
         simd::run(isa, Predict { cov: self, t });
     }
 
+    /// The rest of [`Covariance::predict`] after [`Covariance::add_half_noise`].
     #[inline(always)]
-    pub(crate) fn predict_kernel<const FMA: bool, const TILE: usize>(&mut self, t: &Transition<CAP>) {
+    pub(crate) fn predict_kernel<E: Eight>(&mut self, t: &Transition<CAP>) {
         let n = self.n;
-        t.add_half_noise(&mut self.p);
-        let columns = &t.columns;
-        // W = [A B] P, nine rows
-        let w = multiply_rows::<FMA, TILE, CAP>(columns, &self.p, n).0;
-        // navigation block: W [A B]'
-        let nav = times_transposed::<FMA, TILE, CAP>(&w, columns, n);
-        let d = &t.blocks.diagonal;
-        for i in 0..NAV {
-            // cross block: W D
-            for (p, (w, d)) in self.p[i].iter_mut().zip(w[i].iter().zip(d)) {
-                *p = w * d;
-            }
-            for j in 0..=i.min(LANES - 1) {
-                (self.p[i][j], self.p[j][i]) = (nav[i][j], nav[i][j]);
+        let half = t.half_noise();
+        for (row, half) in self.p.iter_mut().zip(&half.0) {
+            add_to_first::<E, CAP>(row, half);
+        }
+        // W = [A B] (P + Q/2), nine rows in the place of those of P: eight columns of W need only these of P
+        let mut w = Aligned([[0.0; LANES]; NAV]);
+        for tile in 0..n.div_ceil(LANES).min(CAP / LANES) {
+            by_groups!(E, CAP, top_rows_times, (t, &self.p, n, tile, &mut w.0));
+            for (row, w) in self.p.iter_mut().zip(&w.0) {
+                E::load(w).store(&mut lanes_mut(row)[tile]);
             }
         }
-        self.p[NAV - 1][NAV - 1] =
-            w[NAV - 1].iter().zip(&columns.0).fold(0.0, |sum, (w, c)| madd::<FMA>(*w, c[NAV - 1], sum));
         let (top, rest) = self.p.split_at_mut(NAV);
-        // block by block: D P D
-        if t.blocks.decays {
-            for (row, di) in rest.iter_mut().zip(&d[NAV..]).take(n - NAV) {
-                for (p, dj) in row.iter_mut().zip(d) {
-                    *p *= di * dj;
+        let (tiles, diagonal) = (lanes(&t.blocks.diagonal), &t.blocks.diagonal);
+        let corner = dot::<E, CAP>(&top[LAST], &t.last.0);
+        let mut last = [0.0; CAP];
+        for ((w, d), last) in top[LAST].iter().zip(diagonal).zip(&mut last) {
+            *last = w * d;
+        }
+        // the mirror of the cross block W D, and block by block: D P D
+        for tile in 1..n.div_ceil(LANES).min(CAP / LANES) {
+            let mut rows = [E::splat(0.0); LANES];
+            for (row, w) in rows.iter_mut().zip(&*top) {
+                *row = E::load(&lanes(w)[tile]);
+            }
+            let columns = E::transpose(rows);
+            for k in (tile * LANES).max(NAV)..((tile + 1) * LANES).min(n) {
+                let (row, d) = (&mut rest[k - NAV], E::splat(diagonal[k]));
+                for (p, tile) in lanes_mut(row).iter_mut().zip(tiles).skip(1) {
+                    E::load(p).times(E::load(tile).times(d)).store(p);
                 }
+                if let Some(p) = lanes_mut(row).first_mut() {
+                    columns[k % LANES].times(d).store(p);
+                }
+                row[LAST] = last[k];
             }
         }
-        // the mirror of the cross block
-        for (j, row) in rest.iter_mut().enumerate().take(n - NAV) {
-            for i in 0..NAV {
-                row[i] = top[i][NAV + j];
+        // navigation block: W [A B]', the lower triangle for both; row by row in the place of W
+        by_groups!(E, CAP, rows_times_top, (top, t, n));
+        for i in 0..LANES {
+            for j in 0..i {
+                top[j][i] = top[i][j];
             }
         }
-        t.add_half_noise(&mut self.p);
+        let below = top[LAST];
+        for (i, (row, half)) in top.iter_mut().zip(&half.0).enumerate() {
+            // cross block: W D
+            for (p, d) in lanes_mut(row).iter_mut().zip(tiles).skip(1) {
+                E::load(p).times(E::load(d)).store(p);
+            }
+            add_to_first::<E, CAP>(row, half);
+            row[LAST] = if i == LAST { corner } else { below[i] };
+        }
+        self.add_half_noise(&t.blocks);
+    }
+
+    /// Half of the noise of the block states. Number by number: a vector that holds one of them must not be read right
+    /// after, so the half before a prediction is added long before it.
+    #[inline(always)]
+    pub(crate) fn add_half_noise(&mut self, blocks: &BlockStep<CAP>) {
+        for k in NAV..self.n.min(CAP) {
+            one_by_one();
+            self.p[k][k] += 0.5 * blocks.q[k];
+        }
     }
 
     /// Gain of a scalar measurement `y = h x - noise` with unit noise variance, and the covariance after it, by the
-    /// Joseph form in two rank-one passes: A = P - k (hP); P⁺ = A - (A h') k' + k k', then mirrored.
+    /// Joseph form in two rank-one steps: A = P - k (hP); P⁺ = A - (A h') k' + k k', then mirrored.
     ///
     /// Returns the gain k = P h'/(h P h' + 1), or `None` (nothing changed) when h P h' + 1 is not positive.
     pub fn update(&mut self, h: &[f64; CAP]) -> Option<[f64; CAP]> {
-        let gain = self.update_kernel::<false>(h)?;
+        let gain = self.update_kernel::<Plain>(&Sparse::of(h))?;
         self.mirror();
-        Some(gain)
+        Some(gain.0)
     }
 
     /// As [`Covariance::update`], without the mirroring: what is left of asymmetry after some rows is rounding.
+    ///
+    /// A h' needs few rows of A, so that both steps are one pass over P.
     #[inline(always)]
-    pub(crate) fn update_kernel<const FMA: bool>(&mut self, h: &[f64; CAP]) -> Option<[f64; CAP]> {
+    pub(crate) fn update_kernel<E: Eight>(&mut self, h: &Sparse<CAP>) -> Option<Aligned<[f64; CAP]>> {
         let n = self.n;
-        let ph = self.times_kernel::<FMA>(h);
-        let s = dot::<FMA, CAP>(h, &ph) + 1.0;
+        let ph = self.times_kernel::<E>(h);
+        let s = h.dot::<E>(&ph.0) + 1.0;
         if !(s.is_finite() && s > 0.0) {
             return None;
         }
-        let inverse = 1.0 / s;
-        let k = ph.map(|v| v * inverse);
-        for (row, &ki) in self.p.iter_mut().zip(&k).take(n) {
-            for (a, &hp) in row.iter_mut().zip(&ph) {
-                *a = madd::<FMA>(-ki, hp, *a);
+        let inverse = E::splat(1.0 / s);
+        let mut k = Aligned([0.0; CAP]);
+        for (k, ph) in lanes_mut(&mut k.0).iter_mut().zip(lanes(&ph.0)) {
+            inverse.times(E::load(ph)).store(k);
+        }
+        let mut c = k;
+        for (j, hj) in h.iter() {
+            let (minus, hj) = (E::splat(-k.0[j]), E::splat(-hj));
+            for ((c, p), ph) in lanes_mut(&mut c.0).iter_mut().zip(lanes(&self.p[j])).zip(lanes(&ph.0)) {
+                let a = E::load(p).madd(minus, E::load(ph));
+                E::load(c).madd(hj, a).store(c);
             }
         }
-        let ah = self.times_kernel::<FMA>(h);
-        for ((row, &ki), &ahi) in self.p.iter_mut().zip(&k).zip(&ah).take(n) {
-            let c = ki - ahi;
-            for (a, &kj) in row.iter_mut().zip(&k) {
-                *a = madd::<FMA>(c, kj, *a);
+        for ((row, &ki), &ci) in self.p.iter_mut().zip(&k.0).zip(&c.0).take(n) {
+            let (minus, ci) = (E::splat(-ki), E::splat(ci));
+            for ((p, ph), k) in lanes_mut(row).iter_mut().zip(lanes(&ph.0)).zip(lanes(&k.0)) {
+                E::load(p).madd(minus, E::load(ph)).madd(ci, E::load(k)).store(p);
             }
         }
         Some(k)
@@ -152,28 +207,25 @@ impl<const CAP: usize> Covariance<CAP> {
     /// P h' for a row h.
     #[must_use]
     pub fn times(&self, h: &[f64; CAP]) -> [f64; CAP] {
-        self.times_kernel::<false>(h)
+        self.times_kernel::<Plain>(&Sparse::of(h)).0
     }
 
-    /// Zeros of h are skipped: a row of an aid has a handful of others.
+    /// As [`Covariance::times`], for a kernel.
     #[inline(always)]
-    pub(crate) fn times_kernel<const FMA: bool>(&self, h: &[f64; CAP]) -> [f64; CAP] {
-        let mut out = [0.0; CAP];
-        for (row, &hj) in self.p.iter().zip(h).take(self.n) {
-            if hj != 0.0 {
-                for (o, &a) in out.iter_mut().zip(row) {
-                    *o = madd::<FMA>(hj, a, *o);
-                }
+    pub(crate) fn times_kernel<E: Eight>(&self, h: &Sparse<CAP>) -> Aligned<[f64; CAP]> {
+        let mut out = Aligned([0.0; CAP]);
+        for (j, hj) in h.iter() {
+            let hj = E::splat(hj);
+            for (o, p) in lanes_mut(&mut out.0).iter_mut().zip(lanes(&self.p[j])) {
+                E::load(o).madd(hj, E::load(p)).store(o);
             }
         }
         out
     }
 
-    /// Adds variances to the diagonal.
-    pub(crate) fn add_diagonal(&mut self, variances: &[f64; CAP]) {
-        for (i, v) in variances.iter().enumerate().take(self.n) {
-            self.p[i][i] += v;
-        }
+    /// Adds to the variance of a state.
+    pub(crate) fn add_variance(&mut self, i: usize, variance: f64) {
+        self.p[i][i] += variance;
     }
 
     /// Raises variances below their lower bound to it: what is added to the diagonal keeps P positive definite.
@@ -227,35 +279,59 @@ impl<const CAP: usize> Covariance<CAP> {
         }
     }
 
-    /// Verifies that P is finite and positive definite, by a Cholesky factorisation of the correlation matrix.
+    /// Verifies that P is finite and positive definite, by a factorisation of the correlation matrix.
     ///
     /// # Errors
     /// [`Error::Covariance`] with the first state that fails and its pivot (1 means uncorrelated).
     pub fn check(&self, t_ns: i64) -> Result<(), Error> {
-        let mut l = [[0.0; CAP]; CAP];
-        let mut scale = [0.0; CAP];
-        for i in 0..self.n {
-            let variance = self.p[i][i];
-            if !(variance.is_finite() && variance > 0.0) {
-                return Err(Error::Covariance { t_ns, state: i, pivot: variance });
-            }
-            scale[i] = 1.0 / math::sqrt(variance);
+        self.check_on(Isa::detect(), t_ns)
+    }
+
+    /// As [`Covariance::check`], on a given set of instructions.
+    pub(crate) fn check_on(&self, isa: Isa, t_ns: i64) -> Result<(), Error> {
+        self.check_variances(t_ns)?;
+        match simd::run(isa, Check(self)) {
+            None => Ok(()),
+            Some((state, pivot)) => Err(Error::Covariance { t_ns, state, pivot }),
         }
-        for i in 0..self.n {
-            for j in 0..=i {
-                let sum = self.p[i][j] * scale[i] * scale[j]
-                    - l[i].iter().zip(&l[j]).take(j).map(|(a, b)| a * b).sum::<f64>();
-                if i == j {
-                    if !(sum.is_finite() && sum > 0.0) {
-                        return Err(Error::Covariance { t_ns, state: i, pivot: sum });
-                    }
-                    l[i][i] = math::sqrt(sum);
-                } else {
-                    l[i][j] = sum / l[j][j];
+    }
+}
+
+/// The factorisation L D L' of the correlation matrix as a kernel: the first pivot that is not positive.
+struct Check<'a, const CAP: usize>(&'a Covariance<CAP>);
+
+impl<const CAP: usize> Kernel for Check<'_, CAP> {
+    type Output = Option<(usize, f64)>;
+
+    #[inline(always)]
+    fn run<E: Eight>(self) -> Option<(usize, f64)> {
+        let Covariance { p, n } = self.0;
+        let mut scale = Aligned([0.0; CAP]);
+        for (i, s) in scale.0.iter_mut().enumerate().take(*n) {
+            *s = 1.0 / math::sqrt(p[i][i]);
+        }
+        let mut a = Aligned([[0.0; CAP]; CAP]);
+        for ((a, p), s) in a.0.iter_mut().zip(p).zip(&scale.0).take(*n) {
+            for ((a, p), t) in lanes_mut(a).iter_mut().zip(lanes(p)).zip(lanes(&scale.0)) {
+                E::load(p).times(E::load(t)).times(E::splat(*s)).store(a);
+            }
+        }
+        for k in 0..*n {
+            let (done, rest) = a.0.split_at_mut((k + 1).min(CAP));
+            let row = done.last()?;
+            let pivot = row[k];
+            if !(pivot.is_finite() && pivot > 0.0) {
+                return Some((k, pivot));
+            }
+            let per_pivot = 1.0 / pivot;
+            for (i, below) in (k + 1..*n).zip(rest) {
+                let factor = E::splat(-row[i] * per_pivot);
+                for (b, r) in lanes_mut(below).iter_mut().zip(lanes(row)).skip(i / LANES) {
+                    E::load(b).madd(factor, E::load(r)).store(b);
                 }
             }
         }
-        Ok(())
+        None
     }
 }
 
@@ -269,73 +345,121 @@ impl<const CAP: usize> Kernel for Predict<'_, CAP> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FMA: bool, const TILE: usize>(self) {
-        self.cov.predict_kernel::<FMA, TILE>(self.t);
+    fn run<E: Eight>(self) {
+        self.cov.add_half_noise(&self.t.blocks);
+        self.cov.predict_kernel::<E>(self.t);
     }
 }
 
-/// Scalar product, summed in [`LANES`] strands.
-#[inline(always)]
-pub(crate) fn dot<const FMA: bool, const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
-    let mut sum = [0.0; LANES];
-    for (x, y) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
-        for ((s, x), y) in sum.iter_mut().zip(x).zip(y) {
-            *s = madd::<FMA>(*x, *y, *s);
-        }
-    }
-    sum.iter().sum()
+/// The numbers of a row that are not zero: a row of an aid has a handful of them.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sparse<const CAP: usize> {
+    index: [u8; CAP],
+    value: [f64; CAP],
+    len: usize,
 }
 
-/// Nine rows, column by column.
-type Columns<const CAP: usize> = Aligned<[Column; CAP]>;
-
-/// Nine rows, given by columns, times a matrix with `n` rows in use. `TILE` columns of all nine rows are summed at a
-/// time, so that each element of `b` is read once.
-#[inline(always)]
-fn multiply_rows<const FMA: bool, const TILE: usize, const CAP: usize>(
-    a: &Columns<CAP>,
-    b: &[[f64; CAP]; CAP],
-    n: usize,
-) -> Aligned<[[f64; CAP]; NAV]> {
-    let mut out = Aligned([[0.0; CAP]; NAV]);
-    for tile in 0..n.div_ceil(TILE) {
-        let mut sum = [[0.0; TILE]; NAV];
-        for (a, row) in a.0.iter().zip(b).take(n) {
-            let x = &row.as_chunks::<TILE>().0[tile];
-            for (s, f) in sum.iter_mut().zip(a) {
-                for j in 0..TILE {
-                    s[j] = madd::<FMA>(*f, x[j], s[j]);
-                }
+impl<const CAP: usize> Sparse<CAP> {
+    #[inline(always)]
+    pub(crate) fn of(h: &[f64; CAP]) -> Self {
+        let mut sparse = Self { index: [0; CAP], value: [0.0; CAP], len: 0 };
+        for (j, &hj) in h.iter().enumerate() {
+            if hj != 0.0 && sparse.len < CAP {
+                // no filter has 256 states
+                sparse.index[sparse.len] = j as u8;
+                sparse.value[sparse.len] = hj;
+                sparse.len += 1;
             }
         }
-        for (o, s) in out.0.iter_mut().zip(sum) {
-            o.as_chunks_mut::<TILE>().0[tile] = s;
-        }
+        sparse
     }
-    out
+
+    /// Places and values.
+    #[inline(always)]
+    fn iter(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.index.iter().zip(&self.value).take(self.len).map(|(j, h)| (usize::from(*j).min(CAP - 1), *h))
+    }
+
+    /// Scalar product with a full vector.
+    #[inline(always)]
+    pub(crate) fn dot<E: Eight>(&self, x: &[f64; CAP]) -> f64 {
+        let mut sum = 0.0;
+        for (j, h) in self.iter() {
+            sum = madd::<E>(h, x[j], sum);
+        }
+        sum
+    }
 }
 
-/// The first eight columns of nine rows times the transpose of nine others, given by columns.
+/// A row in tiles of eight.
 #[inline(always)]
-fn times_transposed<const FMA: bool, const TILE: usize, const CAP: usize>(
-    w: &[[f64; CAP]; NAV],
-    columns: &Columns<CAP>,
+pub(crate) fn lanes<const CAP: usize>(row: &[f64; CAP]) -> &[Lanes] {
+    row.as_chunks::<LANES>().0
+}
+
+#[inline(always)]
+pub(crate) fn lanes_mut<const CAP: usize>(row: &mut [f64; CAP]) -> &mut [Lanes] {
+    row.as_chunks_mut::<LANES>().0
+}
+
+/// Adds eight numbers to the first of a row.
+#[inline(always)]
+fn add_to_first<E: Eight, const CAP: usize>(row: &mut [f64; CAP], x: &Lanes) {
+    if let Some(p) = lanes_mut(row).first_mut() {
+        E::load(p).plus(E::load(x)).store(p);
+    }
+}
+
+/// Scalar product.
+#[inline(always)]
+fn dot<E: Eight, const CAP: usize>(a: &[f64; CAP], b: &[f64; CAP]) -> f64 {
+    let mut sum = E::splat(0.0);
+    for (a, b) in lanes(a).iter().zip(lanes(b)) {
+        sum = sum.madd(E::load(a), E::load(b));
+    }
+    sum.sum()
+}
+
+/// Some rows of [A B] times a matrix with `n` rows in use, eight columns of them.
+#[inline(always)]
+fn top_rows_times<E: Eight, const CAP: usize, const FIRST: usize, const COUNT: usize>(
+    t: &Transition<CAP>,
+    p: &[[f64; CAP]; CAP],
     n: usize,
-) -> [[f64; LANES]; NAV] {
-    let mut out = [[0.0; LANES]; NAV];
-    for tile in 0..LANES / TILE {
-        let mut sum = [[0.0; TILE]; NAV];
-        for (k, column) in columns.0.iter().enumerate().take(n) {
-            let x = &column.as_chunks::<TILE>().0[tile];
-            for (s, w) in sum.iter_mut().zip(w) {
-                for j in 0..TILE {
-                    s[j] = madd::<FMA>(w[k], x[j], s[j]);
-                }
-            }
-        }
-        for (o, s) in out.iter_mut().zip(sum) {
-            o.as_chunks_mut::<TILE>().0[tile] = s;
+    tile: usize,
+    w: &mut [Lanes; NAV],
+) {
+    let mut sums = [E::splat(0.0); COUNT];
+    let n = n.min(CAP);
+    for ((row, column), &last) in p[..n].iter().zip(&t.columns.0[..n]).zip(&t.last.0[..n]) {
+        let x = E::load(&lanes(row)[tile]);
+        for (i, sum) in sums.iter_mut().enumerate() {
+            let f = if FIRST + i == LAST { last } else { column[FIRST + i] };
+            *sum = sum.madd(E::splat(f), x);
         }
     }
-    out
+    for (w, sum) in w.iter_mut().skip(FIRST).zip(sums) {
+        sum.store(w);
+    }
+}
+
+/// Some of nine rows times [A B]', all columns but the last, in the place of their first eight numbers.
+#[inline(always)]
+fn rows_times_top<E: Eight, const CAP: usize, const FIRST: usize, const COUNT: usize>(
+    rows: &mut [[f64; CAP]],
+    t: &Transition<CAP>,
+    n: usize,
+) {
+    let mut sums = [E::splat(0.0); COUNT];
+    for (k, column) in t.columns.0[..n.min(CAP)].iter().enumerate() {
+        let x = E::load(column);
+        for (sum, row) in sums.iter_mut().zip(rows.iter().skip(FIRST)) {
+            *sum = sum.madd(E::splat(row[k]), x);
+        }
+    }
+    for (row, sum) in rows.iter_mut().skip(FIRST).zip(sums) {
+        if let Some(p) = lanes_mut(row).first_mut() {
+            sum.store(p);
+        }
+    }
 }

@@ -2,11 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::blocks::{Coupling, Input, Source};
 use crate::error::Error;
-use crate::layout::Layout;
-use crate::nav::{DV, Dynamics, NAV, PHI};
-use crate::simd::{Aligned, madd};
+use crate::layout::{Act, Layout};
+use crate::nav::{DV, Dynamics, LAST_FROM, NAV, PHI};
+use crate::simd::{Aligned, Eight, LANES, Lanes, Plain, madd};
 
 /// Highest power of F dt in the series of the transition matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -85,17 +84,13 @@ impl<const CAP: usize> BlockStep<CAP> {
     }
 }
 
-/// Rows of a column of nine, padded to whole vectors.
-pub(crate) const COLUMN: usize = 16;
-
-/// One column of nine rows.
-pub(crate) type Column = [f64; COLUMN];
-
 /// The upper nine rows of Phi (the rest is diagonal) and the process noise of one interval.
 #[derive(Debug, Clone, Copy)]
 pub struct Transition<const CAP: usize> {
-    /// Rows 0 to 8 of Phi, state by state.
-    pub(crate) columns: Aligned<[Column; CAP]>,
+    /// Rows 0 to 7 of Phi, state by state.
+    pub(crate) columns: Aligned<[Lanes; CAP]>,
+    /// Row 8 of Phi.
+    pub(crate) last: Aligned<[f64; CAP]>,
     /// The rest of Phi, and the noise of the block states.
     pub blocks: BlockStep<CAP>,
     /// Noise of the attitude errors over the interval, rad².
@@ -104,49 +99,46 @@ pub struct Transition<const CAP: usize> {
     pub q_dv: Matrix3<f64>,
 }
 
-/// Columns of [F | gyro coupling | accelerometer coupling].
-const WIDTH: usize = NAV + 6;
-/// First column of the gyro coupling.
-const GYRO: usize = NAV;
-/// First column of the accelerometer coupling.
-const ACCEL: usize = NAV + 3;
+/// Last of the nine rows.
+pub(crate) const LAST: usize = NAV - 1;
 
-/// [F | gyro coupling | accelerometer coupling] or its product with F, column by column.
-type Wide = Aligned<[Column; WIDTH]>;
+/// Columns of the couplings: gyros, then accelerometers.
+const COUPLINGS: usize = 6;
 
+/// `a x + b F y`, column by column: rows 0 to 7 of each in `heads`, row 8 in `lasts`.
 #[inline(always)]
-fn widen(dynamics: &Dynamics) -> Wide {
-    let mut wide = Aligned([[0.0; COLUMN]; WIDTH]);
-    for (j, column) in wide.0.iter_mut().enumerate().take(NAV) {
-        for i in 0..NAV {
-            column[i] = dynamics.f[(i, j)];
-        }
-    }
-    for j in 0..3 {
-        for i in 0..3 {
-            wide.0[GYRO + j][PHI + i] = -dynamics.c[(i, j)];
-            wide.0[ACCEL + j][DV + i] = dynamics.c[(i, j)];
-        }
-    }
-    wide
-}
-
-/// F times columns; about half of F is zero and most of the couplings are, which is skipped.
-#[inline(always)]
-fn times_f<const FMA: bool>(f: &Wide, x: &Wide) -> Wide {
-    let mut out = Aligned([[0.0; COLUMN]; WIDTH]);
-    for (o, x) in out.0.iter_mut().zip(&x.0) {
-        let mut sum = [0.0; COLUMN];
-        for (&a, f) in x.iter().zip(&f.0).take(NAV) {
-            if a != 0.0 {
-                for (s, f) in sum.iter_mut().zip(f) {
-                    *s = madd::<FMA>(a, *f, *s);
-                }
+fn horner<E: Eight>(
+    f: &[E; NAV],
+    (a, x, x_last): (f64, &[Lanes], &[f64]),
+    (b, y, y_last): (f64, &[Lanes], &[f64]),
+    heads: &mut [Lanes],
+    lasts: &mut [f64],
+) {
+    let (a_8, b_8) = (E::splat(a), E::splat(b));
+    let x = x.iter().zip(x_last);
+    let y = y.iter().zip(y_last);
+    for ((head, last), ((x, x_last), (y, y_last))) in heads.iter_mut().zip(lasts).zip(x.zip(y)) {
+        // three short sums: one long one would wait for itself
+        let mut sums =
+            [E::splat(*y_last).times(f[LAST]), E::splat(y[0]).times(f[0]), E::splat(y[1]).times(f[1])];
+        for k in [2, 5] {
+            for (i, sum) in sums.iter_mut().enumerate() {
+                *sum = sum.madd(E::splat(y[k + i]), f[k + i]);
             }
         }
-        *o = sum;
+        let [p, q, r] = sums;
+        a_8.times(E::load(x)).madd(b_8, p.plus(q).plus(r)).store(head);
+        *last = madd::<E>(b, y[LAST_FROM], a * x_last);
     }
-    out
+}
+
+/// C diag(variance) C', symmetric to the last bit.
+#[inline(always)]
+fn turned(c: &Matrix3<f64>, variance: &Vector3<f64>) -> Matrix3<f64> {
+    let [x, y, z] = [0, 1, 2].map(|i| c.row(i).transpose());
+    let [vx, vy, vz] = [x, y, z].map(|row| row.component_mul(variance));
+    let (xy, xz, yz) = (vx.dot(&y), vx.dot(&z), vy.dot(&z));
+    Matrix3::new(vx.dot(&x), xy, xz, xy, vy.dot(&y), yz, xz, yz, vz.dot(&z))
 }
 
 impl<const CAP: usize> Transition<CAP> {
@@ -165,12 +157,12 @@ impl<const CAP: usize> Transition<CAP> {
         blocks: &BlockStep<CAP>,
         order: Order,
     ) -> Self {
-        Self::of::<false>(dynamics, layout, noise, w_b, f_b, blocks, order)
+        Self::of::<Plain>(dynamics, layout, noise, w_b, f_b, blocks, order)
     }
 
     /// As [`Transition::new`], for a kernel.
     #[inline(always)]
-    pub(crate) fn of<const FMA: bool>(
+    pub(crate) fn of<E: Eight>(
         dynamics: &Dynamics,
         layout: &Layout<CAP>,
         noise: &ImuNoise,
@@ -179,113 +171,116 @@ impl<const CAP: usize> Transition<CAP> {
         blocks: &BlockStep<CAP>,
         order: Order,
     ) -> Self {
-        let c = &dynamics.c;
         let dt = blocks.dt_s;
-        // F^k [F | g]: the series of Phi_nn, and of a coupling column with decay rate a,
-        // Phi_nb = c1 + a c2 + a² c3, c1 = g dt + F g dt²/2 + F² g dt³/6, c2 = g dt²/2 + F g dt³/6, c3 = g dt³/6
-        let (h2, h3) = (dt * dt / 2.0, dt * dt * dt / 6.0);
-        let x1 = widen(dynamics);
-        let zero = Aligned([[0.0; COLUMN]; WIDTH]);
-        let (x2, x3, h2, h3) = match order {
-            Order::First => (zero, zero, 0.0, 0.0),
-            Order::Second => (times_f::<FMA>(&x1, &x1), zero, h2, 0.0),
-            Order::Third => {
-                let x2 = times_f::<FMA>(&x1, &x1);
-                (x2, times_f::<FMA>(&x1, &x2), h2, h3)
-            }
+        // By Horner's rule over x = [F | g]: y = x dt²/2 + F x dt³/6 and c = x dt + F y, which gives Phi_nn = I + c, and of a
+        // coupling column with decay rate a Phi_nb = c + a y + a² g dt³/6
+        let (h2, h3) = match order {
+            Order::First => (0.0, 0.0),
+            Order::Second => (dt * dt / 2.0, 0.0),
+            Order::Third => (dt * dt / 2.0, dt * dt * dt / 6.0),
         };
-        let mut c1 = zero;
-        for (c1, ((x1, x2), x3)) in c1.0.iter_mut().zip(x1.0.iter().zip(&x2.0).zip(&x3.0)) {
-            for i in 0..COLUMN {
-                c1[i] = madd::<FMA>(h3, x3[i], madd::<FMA>(h2, x2[i], dt * x1[i]));
-            }
+        let mut t = Self {
+            columns: Aligned([[0.0; LANES]; CAP]),
+            last: Aligned([0.0; CAP]),
+            blocks: *blocks,
+            q_phi: turned(&dynamics.c, &(noise.gyro_psd * dt)),
+            q_dv: turned(&dynamics.c, &(noise.accel_psd * dt)),
+        };
+        let mut f = [E::splat(0.0); NAV];
+        for (f, column) in f.iter_mut().zip(&dynamics.columns.0) {
+            *f = E::load(column);
         }
+        let x = &dynamics.columns.0;
+        let mut x_last = [0.0; NAV];
+        x_last[LAST_FROM] = 1.0;
+        let (mut y, mut y_last) = (Aligned([[0.0; LANES]; NAV]), [0.0; NAV]);
+        horner::<E>(&f, (h2, x, &x_last), (h3, x, &x_last), &mut y.0, &mut y_last);
+        let (columns, last) = (&mut t.columns.0, &mut t.last.0);
+        horner::<E>(&f, (dt, x, &x_last), (1.0, &y.0, &y_last), &mut columns[..NAV], &mut last[..NAV]);
+        for (i, column) in columns.iter_mut().take(LANES).enumerate() {
+            column[i] += 1.0;
+        }
+        last[LAST] += 1.0;
 
-        let mut columns = Aligned([[0.0; COLUMN]; CAP]);
-        for (j, (column, c1)) in columns.0.iter_mut().zip(&c1.0).enumerate().take(NAV) {
-            *column = *c1;
-            column[j] += 1.0;
+        let (mut x, x_last) = (Aligned([[0.0; LANES]; COUPLINGS]), [0.0; COUPLINGS]);
+        for j in 0..3 {
+            let g = [dynamics.c[(0, j)], dynamics.c[(1, j)], dynamics.c[(2, j)]];
+            x.0[j] = [-g[0], -g[1], -g[2], 0.0, 0.0, 0.0, 0.0, 0.0];
+            x.0[3 + j] = [0.0, 0.0, 0.0, g[0], g[1], g[2], 0.0, 0.0];
         }
-        for (column, (_, state)) in columns.0.iter_mut().skip(NAV).zip(layout.states()) {
-            let (start, Input { axis, source }, true_value) = match state.coupling {
-                Coupling::Gyro(input) => (GYRO, input, w_b),
-                Coupling::Accel(input) => (ACCEL, input, f_b),
-                _ => continue,
-            };
-            let factor = match source {
-                Source::Unit => 1.0,
-                Source::Component(k) => true_value[k],
-            };
-            let (k, a) = (start + axis, state.decay);
-            let (x1, x2, c1) = (&x1.0[k], &x2.0[k], &c1.0[k]);
-            if a == 0.0 {
-                for i in 0..COLUMN {
-                    column[i] = factor * c1[i];
-                }
-            } else {
-                for i in 0..COLUMN {
-                    let decaying = h2 * x1[i] + h3 * (x2[i] + a * x1[i]);
-                    column[i] = factor * (c1[i] + a * decaying);
-                }
+        let (mut c, mut c_last) = (Aligned([[0.0; LANES]; COUPLINGS]), [0.0; COUPLINGS]);
+        let (y, y_last) = (&mut y.0[..COUPLINGS], &mut y_last[..COUPLINGS]);
+        horner::<E>(&f, (h2, &x.0, &x_last), (h3, &x.0, &x_last), y, y_last);
+        horner::<E>(&f, (dt, &x.0, &x_last), (1.0, y, y_last), &mut c.0, &mut c_last);
+        let factors = [w_b.x, w_b.y, w_b.z, f_b.x, f_b.y, f_b.z, 1.0, 0.0];
+        for (j, state) in layout.states() {
+            let Some(Act { column, factor }) = state.act else { continue };
+            let k = usize::from(column).min(COUPLINGS - 1);
+            let (factor, a) = (factors[usize::from(factor & 7)], state.decay);
+            let (mut head, mut tail) = (E::load(&c.0[k]), c_last[k]);
+            if a != 0.0 {
+                head = head.madd(E::splat(a), E::load(&y[k]));
+                head = head.madd(E::splat(a * a * h3), E::load(&x.0[k]));
+                tail = madd::<E>(a, y_last[k], tail);
             }
+            head.times(E::splat(factor)).store(&mut columns[j]);
+            last[j] = factor * tail;
         }
-        // the halves of a product and of its transpose: symmetric to the last bit
-        let turned = |psd: &Vector3<f64>| {
-            let q = c * Matrix3::from_diagonal(&(psd * dt)) * c.transpose();
-            0.5 * (q + q.transpose())
-        };
-        Self { columns, blocks: *blocks, q_phi: turned(&noise.gyro_psd), q_dv: turned(&noise.accel_psd) }
+        t
     }
 
     /// A transition that changes nothing: Phi = I over the navigation errors, no noise of theirs.
     #[must_use]
     pub fn identity(blocks: &BlockStep<CAP>) -> Self {
-        let mut columns = Aligned([[0.0; COLUMN]; CAP]);
-        for (i, column) in columns.0.iter_mut().enumerate().take(NAV) {
-            column[i] = 1.0;
-        }
-        Self { columns, blocks: *blocks, q_phi: Matrix3::zeros(), q_dv: Matrix3::zeros() }
+        let (columns, last) = (Aligned([[0.0; LANES]; CAP]), Aligned([0.0; CAP]));
+        let mut t = Self { columns, last, blocks: *blocks, q_phi: Matrix3::zeros(), q_dv: Matrix3::zeros() };
+        (0..NAV).for_each(|i| t.set_top(i, i, 1.0));
+        t
     }
 
     /// Element (i, j) of the upper nine rows of Phi; 0 outside.
     #[must_use]
     pub fn top(&self, i: usize, j: usize) -> f64 {
-        self.columns.0.get(j).filter(|_| i < NAV).map_or(0.0, |column| column[i])
+        let row = if i == LAST { self.last.0.get(j) } else { self.columns.0.get(j).and_then(|c| c.get(i)) };
+        row.copied().unwrap_or(0.0)
     }
 
     /// Sets element (i, j) of the upper nine rows of Phi; nothing outside.
     pub fn set_top(&mut self, i: usize, j: usize, value: f64) {
-        if let Some(column) = self.columns.0.get_mut(j).filter(|_| i < NAV) {
-            column[i] = value;
+        let (columns, last) = (&mut self.columns.0, &mut self.last.0);
+        let element = if i == LAST { last.get_mut(j) } else { columns.get_mut(j).and_then(|c| c.get_mut(i)) };
+        if let Some(element) = element {
+            *element = value;
         }
     }
 
     /// Carries an error estimate over the interval.
     pub(crate) fn carry(&self, x: &mut [f64; CAP]) {
-        let mut top = [0.0; COLUMN];
-        for (column, x) in self.columns.0.iter().zip(&*x) {
+        let (mut top, mut last) = ([0.0; LANES], 0.0);
+        for ((column, l), x) in self.columns.0.iter().zip(&self.last.0).zip(&*x) {
             for (t, c) in top.iter_mut().zip(column) {
                 *t += c * x;
             }
+            last += l * x;
         }
         for (x, d) in x.iter_mut().zip(&self.blocks.diagonal) {
             *x *= d;
         }
-        x[..NAV].copy_from_slice(&top[..NAV]);
+        x[..LANES].copy_from_slice(&top);
+        x[LAST] = last;
     }
 
-    /// Adds half of the process noise to a covariance.
+    /// Half of the process noise of the navigation errors, row by row; the last column has none.
     #[inline(always)]
-    pub(crate) fn add_half_noise(&self, p: &mut [[f64; CAP]; CAP]) {
+    pub(crate) fn half_noise(&self) -> Aligned<[Lanes; NAV]> {
+        let mut half = Aligned([[0.0; LANES]; NAV]);
         for (start, q) in [(PHI, &self.q_phi), (DV, &self.q_dv)] {
             for i in 0..3 {
                 for j in 0..3 {
-                    p[start + i][start + j] += 0.5 * q[(i, j)];
+                    half.0[start + i][start + j] = 0.5 * q[(i, j)];
                 }
             }
         }
-        for (i, q) in self.blocks.q.iter().enumerate() {
-            p[i][i] += 0.5 * q;
-        }
+        half
     }
 }

@@ -55,19 +55,39 @@ impl Calibration {
     /// # Errors
     /// [`Error::Config`] when `I + matrix` cannot be inverted or a value is not finite.
     pub fn new(bias: Vector3<f64>, matrix: Matrix3<f64>) -> Result<Self, Error> {
-        let need = "I + matrix must be invertible and finite";
-        if matrix == Matrix3::zeros() && bias.iter().all(|v| v.is_finite()) {
-            return Ok(Self { bias, ..Self::default() });
+        let mut calibration = Self::default();
+        calibration.set(bias, matrix)?;
+        Ok(calibration)
+    }
+
+    /// As [`Calibration::new`], in place; on an error unchanged.
+    #[inline(always)]
+    pub(crate) fn set(&mut self, bias: Vector3<f64>, matrix: Matrix3<f64>) -> Result<(), Error> {
+        let refuse = |got| {
+            Err(Error::Config {
+                what: "imu.calibration",
+                need: "I + matrix must be invertible and finite",
+                got,
+            })
+        };
+        if !(bias.x.is_finite() && bias.y.is_finite() && bias.z.is_finite()) {
+            return refuse(bias.sum());
         }
+        if matrix == Matrix3::zeros() {
+            *self = Self { bias, ..Self::default() };
+            return Ok(());
+        }
+        // the adjugate: its rows are cross products of the columns
         let full = Matrix3::identity() + matrix;
-        let det = full.determinant();
-        let ok = bias.iter().all(|v| v.is_finite()) && det.is_finite() && det.abs() > 1e-6;
-        let inverse = full.try_inverse().filter(|_| ok).ok_or(Error::Config {
-            what: "imu.calibration",
-            need,
-            got: det,
-        })?;
-        Ok(Self { bias, inverse, identity: false })
+        let [x, y, z] = [0, 1, 2].map(|j| full.column(j).into_owned());
+        let (yz, zx, xy) = (y.cross(&z), z.cross(&x), x.cross(&y));
+        let det = x.dot(&yz);
+        if !(det.is_finite() && det.abs() > 1e-6) {
+            return refuse(det);
+        }
+        let inverse = Matrix3::from_columns(&[yz, zx, xy]).transpose() * (1.0 / det);
+        *self = Self { bias, inverse, identity: false };
+        Ok(())
     }
 
     /// True rate from a measured one.
@@ -77,6 +97,7 @@ impl Calibration {
     }
 
     /// True increment over `dt_s` from a measured one.
+    #[inline]
     #[must_use]
     pub fn increment(&self, measured: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
         let centred = measured - self.bias * dt_s;

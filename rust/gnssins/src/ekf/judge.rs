@@ -1,11 +1,12 @@
 //! Whether a measurement is to be believed: innovation, its covariance, and the tests on both.
 
 use super::{Ekf, Gate};
-use crate::cov::dot;
+use crate::cov::Sparse;
 use crate::error::Error;
 use crate::math;
 use crate::meas::{BadReason, PART, PARTS, Record, Rows, Source, Status, Test};
 use crate::nav::NavModel;
+use crate::simd::Plain;
 use crate::small::{self, ROWS_MAX};
 
 /// Largest ratio of prior variance over noise variance that a full covariance in double precision can take in.
@@ -28,7 +29,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         for i in 0..rows.len {
             let ph = self.cov.times(&rows.h[i]);
             for j in 0..=i {
-                let hph = dot::<false, CAP>(&rows.h[j], &ph);
+                let hph = Sparse::of(&rows.h[j]).dot::<Plain>(&ph);
                 s[i][j] += hph;
                 if j < i {
                     s[j][i] += hph;

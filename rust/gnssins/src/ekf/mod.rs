@@ -1,6 +1,7 @@
 //! Error-state Kalman filter over any navigation model and any list of blocks.
 
 mod judge;
+mod propagate;
 mod save;
 mod settings;
 #[cfg(feature = "monte-carlo")]
@@ -11,18 +12,19 @@ pub use settings::{Floor, Gate, Initial, Integrity, Settings, SolutionSd};
 pub use shared::Gain;
 
 use nalgebra::{Matrix3, Vector3};
+use propagate::{Advance, Close, Open};
 
 use crate::attitude::{self, skew};
 use crate::blocks::Block;
-use crate::cov::{Covariance, dot};
-use crate::discretise::{BlockStep, ImuNoise, Order, Transition};
+use crate::cov::{Covariance, Sparse, lanes, lanes_mut};
+use crate::discretise::{BlockStep, ImuNoise, Transition};
 use crate::error::Error;
 use crate::imu::{Calibration, ImuDelta, Rates, Strap};
 use crate::layout::Layout;
 use crate::meas::{BadReason, Measurement, Record, Rows, SOURCES, Status, View};
 use crate::nav::kinematics::AttitudeForm;
 use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9};
-use crate::simd::{self, Isa, Kernel, madd};
+use crate::simd::{self, Eight, Isa, Kernel};
 use crate::small::{self, ROWS_MAX};
 
 /// Nanoseconds per second.
@@ -41,8 +43,8 @@ pub struct Ekf<M, const CAP: usize> {
     gates: [[f64; ROWS_MAX + 1]; SOURCES],
     /// Lower bounds of the variances, where there are any.
     floor: Option<[f64; CAP]>,
-    /// Variances that a change of constellation adds, where it adds any.
-    jump: Option<[f64; CAP]>,
+    /// Whether a change of constellation adds to any variance.
+    jumps: bool,
     spatial: bool,
     isa: Isa,
     t_ns: i64,
@@ -55,6 +57,8 @@ pub struct Ekf<M, const CAP: usize> {
     cov: Covariance<CAP>,
     sensors: [Calibration; 2],
     block_step: BlockStep<CAP>,
+    /// Intervals that the covariance has not been through.
+    open: Open,
     previous: Option<ImuDelta>,
     w_ib_b: Vector3<f64>,
 }
@@ -69,10 +73,10 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         settings.check()?;
         let layout = Layout::new(blocks)?;
         let model = M::new(settings.earth, &initial.solution)?;
-        let cov = initial_covariance(&layout, &model, initial)?;
+        let cov = initial_covariance(&layout, blocks, &model, initial)?;
         let mut params = [0.0; CAP];
-        for (block, start) in layout.blocks() {
-            let len = block.kind.len();
+        for (block, (kind, start)) in blocks.iter().zip(layout.blocks()) {
+            let len = kind.len();
             params[start..start + len].copy_from_slice(&block.initial[..len]);
         }
         let block_step = BlockStep::new(&layout, 0.0, 0.0);
@@ -81,8 +85,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             layout,
             settings: *settings,
             gates: settings.gates(),
-            floor: floor(&layout, &settings.floor),
-            jump: layout.jump(),
+            floor: floor(&layout, blocks, &settings.floor),
+            jumps: layout.jumps(),
             spatial: layout.is_spatial(),
             isa: Isa::detect(),
             t_ns: initial.t_ns,
@@ -93,6 +97,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             cov,
             sensors: [Calibration::default(); 2],
             block_step,
+            open: Open::NONE,
             previous: None,
             w_ib_b: Vector3::zeros(),
         };
@@ -107,6 +112,12 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     /// What [`NavModel::set_attitude_form`] refuses.
     pub fn set_attitude_form(&mut self, form: AttitudeForm) -> Result<(), Error> {
         self.model.set_attitude_form(form)
+    }
+
+    /// Runs the kernels of this filter on a given set of instructions; the widest of the machine is the default, and what it
+    /// lacks falls back.
+    pub fn set_isa(&mut self, isa: Isa) {
+        self.isa = isa.available();
     }
 
     /// Time of the state, ns.
@@ -242,42 +253,14 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         extra: &ImuNoise,
         seen: &mut impl FnMut(&Transition<CAP>),
     ) -> Result<(), Error> {
-        let dt_s = delta.dt_s;
-        let dynamics = self.model.step(strap).map_err(|e| at_time(e, t_ns))?;
-        let noise = ImuNoise {
-            gyro_psd: self.settings.noise.gyro_psd + extra.gyro_psd,
-            accel_psd: self.settings.noise.accel_psd + extra.accel_psd,
-        };
-        let (w_b, f_b) = (delta.dtheta / dt_s, delta.dvel / dt_s);
-        let speed_m_s = if self.spatial {
-            let v_n = self.model.solution().v_n;
-            crate::math::hypot(v_n.x, v_n.y)
+        if self.settings.covariance_every == 1 {
+            simd::run(self.isa, Advance { ekf: self, strap, delta, extra, seen })
         } else {
-            0.0
-        };
-        self.block_step.fit(&self.layout, dt_s, speed_m_s);
-        let transition = simd::run(
-            self.isa,
-            Propagate {
-                cov: &mut self.cov,
-                dynamics: &dynamics,
-                layout: &self.layout,
-                noise: &noise,
-                w_b: &w_b,
-                f_b: &f_b,
-                blocks: &self.block_step,
-                order: self.settings.order,
-            },
-        );
-        if let Some(x) = &mut self.waiting {
-            transition.carry(x);
+            self.gather(strap, delta, extra)
         }
-        seen(&transition);
-        if self.block_step.decays {
-            for (p, d) in self.params.iter_mut().zip(&self.block_step.diagonal) {
-                *p *= d;
-            }
-            self.refresh_sensors()?;
+        .map_err(|e| at_time(e, t_ns))?;
+        if self.open.steps >= self.settings.covariance_every {
+            self.close(seen)?;
         }
         let second = |t: i64| t.div_euclid(1_000_000_000);
         let new_second = second(t_ns) != second(self.t_ns);
@@ -285,9 +268,18 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         if new_second { self.check() } else { Ok(()) }
     }
 
+    /// Brings the covariance to the filter's time where [`Settings::covariance_every`] has left it behind; shows the
+    /// transition to `seen`.
+    pub(crate) fn close(&mut self, seen: &mut impl FnMut(&Transition<CAP>)) -> Result<(), Error> {
+        if self.open.steps == 0 {
+            return Ok(());
+        }
+        simd::run(self.isa, Close { ekf: self, seen })
+    }
+
     /// Health of the covariance, looked at once per second; after a measurement only its diagonal is.
     fn check(&self) -> Result<(), Error> {
-        self.cov.check(self.t_ns)?;
+        self.cov.check_on(self.isa, self.t_ns)?;
         self.check_position()
     }
 
@@ -297,11 +289,12 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         if sd_m > UNKNOWN_M { Err(Error::Unbounded { t_ns: self.t_ns, sd_m }) } else { Ok(()) }
     }
 
+    /// The calibration that the block parameters stand for.
+    #[inline(always)]
     fn refresh_sensors(&mut self) -> Result<(), Error> {
         let [gyro, accel] = self.layout.sensor_errors(&self.params);
-        self.sensors =
-            [Calibration::new(gyro.bias, gyro.matrix)?, Calibration::new(accel.bias, accel.matrix)?];
-        Ok(())
+        self.sensors[0].set(gyro.bias, gyro.matrix)?;
+        self.sensors[1].set(accel.bias, accel.matrix)
     }
 
     /// Fuses a measurement that is valid at the filter's time: tests on the prior, then scalar updates of the
@@ -330,8 +323,11 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         if t_ns > self.t_ns {
             return Err(Error::Future { t_ns, filter_ns: self.t_ns });
         }
-        if let Some(jump) = self.jump.as_ref().filter(|_| jumps) {
-            self.cov.add_diagonal(jump);
+        self.close(&mut |_| {})?;
+        if self.jumps && jumps {
+            for (i, state) in self.layout.states() {
+                self.cov.add_variance(i, state.jump);
+            }
         }
         let bad = |reason| Ok(Record::unevaluated(source, row, t_ns, Status::Bad(reason)));
         let view = View {
@@ -385,11 +381,9 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             let limit = if i < DV { (1.0 / sd).max(1.0) } else { f64::INFINITY };
             self.cov.scale_state(i, root.min(limit));
         }
-        for (block, start) in self.layout.blocks() {
-            for k in 0..block.kind.len() {
-                let sd = crate::math::sqrt(self.cov.get(start + k, start + k));
-                self.cov.scale_state(start + k, root.min((block.most_sd(k) / sd).max(1.0)));
-            }
+        for (i, state) in self.layout.states() {
+            let sd = crate::math::sqrt(self.cov.get(i, i));
+            self.cov.scale_state(i, root.min((state.most_sd() / sd).max(1.0)));
         }
     }
 
@@ -528,30 +522,6 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
 /// Position sigma at which a solution is none, m: far below where the covariance loses its digits.
 const UNKNOWN_M: f64 = 1e6;
 
-/// Transition of one interval and the covariance through it.
-struct Propagate<'a, const CAP: usize> {
-    cov: &'a mut Covariance<CAP>,
-    dynamics: &'a Dynamics,
-    layout: &'a Layout<CAP>,
-    noise: &'a ImuNoise,
-    w_b: &'a Vector3<f64>,
-    f_b: &'a Vector3<f64>,
-    blocks: &'a BlockStep<CAP>,
-    order: Order,
-}
-
-impl<const CAP: usize> Kernel for Propagate<'_, CAP> {
-    type Output = Transition<CAP>;
-
-    #[inline(always)]
-    fn run<const FMA: bool, const TILE: usize>(self) -> Transition<CAP> {
-        let Self { cov, dynamics, layout, noise, w_b, f_b, blocks, order } = self;
-        let transition = Transition::of::<FMA>(dynamics, layout, noise, w_b, f_b, blocks, order);
-        cov.predict_kernel::<FMA, TILE>(&transition);
-        transition
-    }
-}
-
 /// The whitened rows into the covariance, one after the other: the error estimate, or `None` when P is none any more.
 struct Fuse<'a, const CAP: usize> {
     cov: &'a mut Covariance<CAP>,
@@ -563,14 +533,15 @@ impl<const CAP: usize> Kernel for Fuse<'_, CAP> {
     type Output = Option<[f64; CAP]>;
 
     #[inline(always)]
-    fn run<const FMA: bool, const TILE: usize>(self) -> Option<[f64; CAP]> {
+    fn run<E: Eight>(self) -> Option<[f64; CAP]> {
         let Self { cov, rows, y } = self;
         let mut x = [0.0; CAP];
         for (h, y) in rows.h.iter().zip(y).take(rows.len) {
-            let left = y[0] - dot::<FMA, CAP>(h, &x);
-            let gain = cov.update_kernel::<FMA>(h)?;
-            for (x, k) in x.iter_mut().zip(&gain) {
-                *x = madd::<FMA>(*k, left, *x);
+            let h = Sparse::of(h);
+            let left = E::splat(y[0] - h.dot::<E>(&x));
+            let gain = cov.update_kernel::<E>(&h)?;
+            for (x, k) in lanes_mut(&mut x).iter_mut().zip(lanes(&gain.0)) {
+                E::load(x).madd(E::load(k), left).store(x);
             }
         }
         cov.mirror();
@@ -584,15 +555,15 @@ fn navigation<const CAP: usize>(x: &[f64; CAP]) -> Vector9 {
 }
 
 /// Lower bounds of all variances, or `None` when there are none.
-fn floor<const CAP: usize>(layout: &Layout<CAP>, nav: &Floor) -> Option<[f64; CAP]> {
+fn floor<const CAP: usize>(layout: &Layout<CAP>, blocks: &[Block], nav: &Floor) -> Option<[f64; CAP]> {
     let mut floor = [0.0; CAP];
     for (start, sd) in [(PHI, &nav.phi), (DV, &nav.v), (DP, &nav.p)] {
         for i in 0..3 {
             floor[start + i] = sd[i] * sd[i];
         }
     }
-    for (block, start) in layout.blocks() {
-        for (f, sd) in floor[start..].iter_mut().zip(&block.floor_sd[..block.kind.len()]) {
+    for (block, (kind, start)) in blocks.iter().zip(layout.blocks()) {
+        for (f, sd) in floor[start..].iter_mut().zip(&block.floor_sd[..kind.len()]) {
             *f = sd * sd;
         }
     }
@@ -609,6 +580,7 @@ fn at_time(error: Error, t_ns: i64) -> Error {
 /// P0: diagonal along north, east, down and in the blocks, turned into the model's axes.
 fn initial_covariance<M: NavModel, const CAP: usize>(
     layout: &Layout<CAP>,
+    blocks: &[Block],
     model: &M,
     initial: &Initial,
 ) -> Result<Covariance<CAP>, Error> {
@@ -626,8 +598,8 @@ fn initial_covariance<M: NavModel, const CAP: usize>(
             variances[start + i] = got * got;
         }
     }
-    for (block, start) in layout.blocks() {
-        for (v, sd) in variances[start..].iter_mut().zip(&block.initial_sd[..block.kind.len()]) {
+    for (block, (kind, start)) in blocks.iter().zip(layout.blocks()) {
+        for (v, sd) in variances[start..].iter_mut().zip(&block.initial_sd[..kind.len()]) {
             *v = sd * sd;
         }
     }

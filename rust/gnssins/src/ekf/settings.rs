@@ -18,6 +18,9 @@ pub struct Settings {
     pub noise: ImuNoise,
     /// Order of the transition matrix.
     pub order: Order,
+    /// Intervals that the covariance goes through at once, with the mean of their dynamics; always up to date where a
+    /// measurement is fused. 1: at every sample.
+    pub covariance_every: u32,
     /// Coning and sculling compensation of increments.
     pub coning: Coning,
     /// IMU to GNSS antenna, m, body axes.
@@ -89,6 +92,7 @@ impl Settings {
             earth: EarthModel::default(),
             noise,
             order: Order::default(),
+            covariance_every: 1,
             coning: Coning::default(),
             lever_b_m: Vector3::zeros(),
             gate_probability: [Some(0.999); SOURCES],
@@ -113,6 +117,13 @@ impl Settings {
         }
         if let Some(&got) = self.lever_b_m.iter().find(|v| !v.is_finite()) {
             return Err(Error::Config { what: "gnss.lever_ba_b_m", need: "must be finite", got });
+        }
+        if self.covariance_every == 0 {
+            return Err(Error::Config {
+                what: "filter.covariance_every",
+                need: "must be at least 1",
+                got: 0.0,
+            });
         }
         if self.feedback_ns < 0 {
             let got = self.feedback_ns as f64;

@@ -11,6 +11,7 @@ use crate::error::Error;
 use crate::imu::{ImuDelta, Strap};
 use crate::meas::{Measurement, Rows, View};
 use crate::nav::{NAV, NavModel};
+use crate::simd::{self, Eight, Kernel};
 use crate::small::{self, ROWS_MAX, Square};
 
 /// Gain of one measurement of at most six rows.
@@ -45,14 +46,15 @@ impl<const CAP: usize> Gain<CAP> {
 }
 
 impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
-    /// Gain that a measurement would have now; the filter stays as it is. `None` where the measurement cannot be used.
+    /// Gain that a measurement would have now; the covariance is brought to the filter's time, nothing else changes. `None` where the measurement cannot be used.
     #[must_use]
-    pub fn gain(&self, measurement: &impl Measurement) -> Option<Gain<CAP>> {
+    pub fn gain(&mut self, measurement: &impl Measurement) -> Option<Gain<CAP>> {
+        self.close(&mut |_| {}).ok()?;
         let rows = self.rows(measurement)?;
         let mut cov = self.cov;
-        if let Some(jump) = self.jump.as_ref().filter(|_| measurement.new_constellation()) {
-            for (i, variance) in jump.iter().enumerate().take(cov.len()) {
-                cov.set(i, i, cov.get(i, i) + variance);
+        if self.jumps && measurement.new_constellation() {
+            for (i, state) in self.layout.states() {
+                cov.add_variance(i, state.jump);
             }
         }
         let (mut s, mut ph) = (rows.r, [[0.0; CAP]; ROWS_MAX]);
@@ -91,29 +93,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         dvel: &Vector3<f64>,
     ) -> Result<(), Error> {
         let dt_s = self.interval_s(t_ns)?;
-        let delta = ImuDelta {
-            dt_s,
-            dtheta: self.sensors[0].increment(dtheta, dt_s),
-            dvel: self.sensors[1].increment(dvel, dt_s),
-        };
-        let strap = Strap::compensated(&delta, self.previous.as_ref(), self.settings.coning);
-        self.model.step(&strap).map_err(|e| super::at_time(e, t_ns))?;
-        let speed_m_s = if self.spatial {
-            let v_n = self.model.solution().v_n;
-            crate::math::hypot(v_n.x, v_n.y)
-        } else {
-            0.0
-        };
-        self.block_step.fit(&self.layout, dt_s, speed_m_s);
-        if self.block_step.decays {
-            for (p, d) in self.params.iter_mut().zip(&self.block_step.diagonal) {
-                *p *= d;
-            }
-            self.refresh_sensors()?;
-        }
+        simd::run(self.isa, Coast { ekf: self, dt_s, dtheta, dvel }).map_err(|e| super::at_time(e, t_ns))?;
         self.t_ns = t_ns;
-        self.previous = Some(delta);
-        self.w_ib_b = delta.dtheta / dt_s;
         Ok(())
     }
 
@@ -149,5 +130,43 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             w_ib_b: self.w_ib_b,
         };
         measurement.rows(&view).ok().filter(|rows| rows.len <= ROWS_MAX)
+    }
+}
+
+/// The strapdown step of an interval by itself.
+struct Coast<'a, M, const CAP: usize> {
+    ekf: &'a mut Ekf<M, CAP>,
+    dt_s: f64,
+    dtheta: &'a Vector3<f64>,
+    dvel: &'a Vector3<f64>,
+}
+
+impl<M: NavModel, const CAP: usize> Kernel for Coast<'_, M, CAP> {
+    type Output = Result<(), Error>;
+
+    #[inline(always)]
+    fn run<E: Eight>(self) -> Result<(), Error> {
+        let Self { ekf, dt_s, dtheta, dvel } = self;
+        let [gyro, accel] = &ekf.sensors;
+        let delta =
+            ImuDelta { dt_s, dtheta: gyro.increment(dtheta, dt_s), dvel: accel.increment(dvel, dt_s) };
+        let strap = Strap::compensated(&delta, ekf.previous.as_ref(), ekf.settings.coning);
+        ekf.model.advance(&strap)?;
+        let speed_m_s = if ekf.spatial {
+            let v_n = ekf.model.solution().v_n;
+            crate::math::hypot(v_n.x, v_n.y)
+        } else {
+            0.0
+        };
+        ekf.block_step.fit(&ekf.layout, dt_s, speed_m_s);
+        if ekf.block_step.decays {
+            for (p, d) in ekf.params.iter_mut().zip(&ekf.block_step.diagonal) {
+                *p *= d;
+            }
+            ekf.refresh_sensors()?;
+        }
+        ekf.previous = Some(delta);
+        ekf.w_ib_b = delta.dtheta / dt_s;
+        Ok(())
     }
 }

@@ -133,17 +133,17 @@ fn fill<M, const CAP: usize>(rows: &mut Rows<CAP>, row: usize, aid: &Aid, axis: 
             Coupling::Gyro(input) => {
                 let factor = match input.source {
                     Source::Unit => 1.0,
-                    Source::Component(k) => view.w_ib_b[k],
+                    Source::Component(k) => view.w_ib_b[k as usize],
                 };
-                h[j] = aid.h_gyro[(axis, input.axis)] * factor;
+                h[j] = aid.h_gyro[(axis, input.axis as usize)] * factor;
             }
-            Coupling::LeverArm(k) => h[j] = aid.h_lever[(axis, k)],
+            Coupling::LeverArm(k) => h[j] = aid.h_lever[(axis, k as usize)],
             // measured = true + error + noise, predicted = model + estimated error
-            Coupling::GnssPosition(k) if component == k => {
+            Coupling::GnssPosition(k) if component == k as usize => {
                 h[j] = -1.0;
                 rows.y[row] += view.params[j];
             }
-            Coupling::GnssVelocity(k) if component == k + 3 => {
+            Coupling::GnssVelocity(k) if component == k as usize + 3 => {
                 h[j] = -1.0;
                 rows.y[row] += view.params[j];
             }

@@ -6,7 +6,7 @@
 
 use super::normal::{BLOCK, Deviates, stream};
 use super::process::{Law, LowPass, Series};
-use crate::simd::{self, Kernel};
+use crate::simd::{self, Eight, Kernel};
 
 /// What an error acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -243,7 +243,7 @@ impl Kernel for Make<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FMA: bool, const TILE: usize>(self) {
+    fn run<E: Eight>(self) {
         self.run.make(self.block);
     }
 }

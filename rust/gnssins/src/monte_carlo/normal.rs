@@ -10,7 +10,7 @@
 //! ChaCha8 alone (`rand_chacha` 0.10) take 1.3 ns each, without the random access to a run that the counter gives for
 //! nothing, and no Philox crate is kept: so these forty lines are our own, held to the known answers of Random123.
 
-use crate::simd::{self, Isa, Kernel};
+use crate::simd::{self, Eight, Isa, Kernel};
 
 /// Deviates that are made together.
 pub const BLOCK: usize = 64;
@@ -95,7 +95,7 @@ impl Kernel for Fill<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FMA: bool, const TILE: usize>(self) {
+    fn run<E: Eight>(self) {
         self.from.fill_here(self.stream, self.first_part, self.block, self.out);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::normal::{BLOCK, Deviates};
 use crate::math;
-use crate::simd::{self, Kernel};
+use crate::simd::{self, Eight, Kernel};
 
 /// Most components of a process: the terms of a misalignment.
 pub const COMPONENTS: usize = 6;
@@ -201,7 +201,7 @@ impl Kernel for Advance<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FMA: bool, const TILE: usize>(self) {
+    fn run<E: Eight>(self) {
         self.series.advance_here(self.deviates, self.block);
     }
 }

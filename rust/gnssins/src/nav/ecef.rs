@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    Aid, DP, DV, Dynamics, EarthModel, FARTHEST_M, FASTEST_M_S, Matrix3x9, Matrix9, NavModel, PHI, Solution,
-    Vector9, check_start, finite, half_turn, lever_velocity, within,
+    Aid, DP, DV, Dynamics, EarthModel, FARTHEST_M, FASTEST_M_S, Matrix3x9, Matrix9, Motion, NavModel, PHI,
+    Solution, Vector9, check_start, finite, half_turn, lever_velocity, within,
 };
 use crate::attitude::{self, skew};
 use crate::error::Error;
@@ -42,18 +42,6 @@ impl Ecef {
     fn lla(&self) -> Lla {
         frames::ecef_to_lla(&self.earth.ellipsoid, &Point(self.r_e))
     }
-
-    /// Groves (2013), eq. 14.48-14.49, with the gradient of the normal gravity that the step uses.
-    fn dynamics_at(&self, gradient: &Matrix3<f64>, f_e: &Vector3<f64>, c_eb: &Matrix3<f64>) -> Dynamics {
-        let w_x = skew(&self.w_ie());
-        let mut f = Matrix9::zeros();
-        f.fixed_view_mut::<3, 3>(PHI, PHI).copy_from(&-w_x);
-        f.fixed_view_mut::<3, 3>(DV, PHI).copy_from(&skew(f_e));
-        f.fixed_view_mut::<3, 3>(DV, DV).copy_from(&(-2.0 * w_x));
-        f.fixed_view_mut::<3, 3>(DV, DP).copy_from(gradient);
-        f.fixed_view_mut::<3, 3>(DP, DV).copy_from(&Matrix3::identity());
-        Dynamics { f, c: *c_eb }
-    }
 }
 
 impl NavModel for Ecef {
@@ -85,7 +73,8 @@ impl NavModel for Ecef {
         }
     }
 
-    fn step(&mut self, strap: &Strap) -> Result<Dynamics, Error> {
+    #[inline(always)]
+    fn advance(&mut self, strap: &Strap) -> Result<Motion, Error> {
         let dt = strap.dt_s;
         let w_ie = self.w_ie();
         let (r, v) = (self.r_e, self.v_e);
@@ -97,19 +86,28 @@ impl NavModel for Ecef {
         let v_half = v + 0.5 * (cu + dt * acceleration(&v));
         let dv_f = half_turn(&w_ie, dt, &cu);
         let v_new = v + dv_f + dt * acceleration(&v_half);
-        let r_new = r + 0.5 * dt * (v + v_new);
+        let v_mean = 0.5 * (v + v_new);
+        let r_new = r + dt * v_mean;
         let q_eb =
             attitude::renormalise(&(attitude::exp(&(-dt * w_ie)) * self.q_eb * attitude::exp(&strap.alpha)));
         Self::check(&r_new, &v_new, &q_eb)?;
         let c_new = attitude::dcm(&q_eb);
-        let dynamics = self.dynamics_at(&gradient, &(dv_f / dt), &(0.5 * (self.c_eb + c_new)));
-        *self = Self { earth: self.earth, r_e: r_new, v_e: v_new, q_eb, c_eb: c_new };
-        Ok(dynamics)
+        let (f, c) = (dv_f / dt, 0.5 * (self.c_eb + c_new));
+        (self.r_e, self.v_e, self.q_eb, self.c_eb) = (r_new, v_new, q_eb, c_new);
+        Ok(Motion { place: r_mid, v: v_mean, f, c, gravity: gradient })
     }
 
-    fn dynamics(&self, f_b: &Vector3<f64>) -> Dynamics {
-        let gradient = self.earth.ellipsoid.gravity_gradient_e(self.earth.gravity, &self.r_e);
-        self.dynamics_at(&gradient, &(self.c_eb * f_b), &self.c_eb)
+    fn motion(&self, f_b: &Vector3<f64>) -> Motion {
+        let gravity = self.earth.ellipsoid.gravity_gradient_e(self.earth.gravity, &self.r_e);
+        Motion { place: self.r_e, v: self.v_e, f: self.c_eb * f_b, c: self.c_eb, gravity }
+    }
+
+    /// Groves (2013), eq. 14.48-14.49, with the gradient of the normal gravity that the step uses.
+    #[inline(always)]
+    fn linearise(&self, motion: &Motion) -> Dynamics {
+        let (w_x, zero) = (skew(&self.w_ie()), Matrix3::zeros());
+        let dv = [skew(&motion.f), -2.0 * w_x, motion.gravity];
+        Dynamics::of(&[-w_x, zero, zero], &dv, &zero, motion.c)
     }
 
     fn correct(&mut self, x: &Vector9) {

@@ -23,6 +23,7 @@ use crate::error::Error;
 use crate::frames::Lla;
 use crate::imu::Strap;
 use crate::nav::kinematics::AttitudeForm;
+use crate::simd::{Aligned, Lanes};
 
 /// First row of the attitude error `phi`.
 pub const PHI: usize = 0;
@@ -32,6 +33,8 @@ pub const DV: usize = 3;
 pub const DP: usize = 6;
 /// Number of navigation error states.
 pub const NAV: usize = 9;
+/// Where the last row of the dynamics has its only number, which is 1.
+pub(crate) const LAST_FROM: usize = DV + 2;
 
 /// 9x9 matrix over the navigation errors.
 pub type Matrix9 = SMatrix<f64, NAV, NAV>;
@@ -69,15 +72,56 @@ pub struct Solution {
 }
 
 /// Continuous error dynamics at one point: `x' = f x + coupling * sensor error`.
+///
+/// The last row is the same for every model: the last position error grows by the last velocity error and nothing else.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dynamics {
-    /// System matrix of the nine navigation errors, 1/s and mixed units.
-    pub f: Matrix9,
+    /// Rows 0 to 7 of the system matrix, column by column.
+    pub(crate) columns: Aligned<[Lanes; NAV]>,
     /// Body to model axes; the gyro error enters `phi` by `-c`, the accelerometer error `dv` by `+c`.
     pub c: Matrix3<f64>,
 }
 
 impl Dynamics {
+    /// From the blocks of the rows `phi` and `dv`, and of `dp` over itself, whose last row is zero; `dp` over `dv` is the
+    /// identity.
+    #[inline(always)]
+    pub(crate) fn of(
+        phi: &[Matrix3<f64>; 3],
+        dv: &[Matrix3<f64>; 3],
+        dp: &Matrix3<f64>,
+        c: Matrix3<f64>,
+    ) -> Self {
+        let column = |block: usize, j: usize| {
+            let (a, b) = (&phi[block], &dv[block]);
+            let [north, east] = match block {
+                0 => [0.0, 0.0],
+                1 => [if j == 0 { 1.0 } else { 0.0 }, if j == 1 { 1.0 } else { 0.0 }],
+                _ => [dp[(0, j)], dp[(1, j)]],
+            };
+            [a[(0, j)], a[(1, j)], a[(2, j)], b[(0, j)], b[(1, j)], b[(2, j)], north, east]
+        };
+        let columns = [
+            column(0, 0),
+            column(0, 1),
+            column(0, 2),
+            column(1, 0),
+            column(1, 1),
+            column(1, 2),
+            column(2, 0),
+            column(2, 1),
+            column(2, 2),
+        ];
+        Self { columns: Aligned(columns), c }
+    }
+
+    /// System matrix of the nine navigation errors, 1/s and mixed units.
+    #[must_use]
+    pub fn f(&self) -> Matrix9 {
+        let last = |j| if j == LAST_FROM { 1.0 } else { 0.0 };
+        Matrix9::from_fn(|i, j| self.columns.0[j].get(i).copied().unwrap_or(last(j)))
+    }
+
     /// Coupling of a gyro error (rad/s, body axes).
     #[must_use]
     pub fn gyro_coupling(&self) -> Matrix9x3 {
@@ -92,6 +136,44 @@ impl Dynamics {
         let mut g = Matrix9x3::zeros();
         g.fixed_rows_mut::<3>(DV).copy_from(&self.c);
         g
+    }
+}
+
+/// What the error dynamics depend on, in the middle of an interval. The mean of several intervals is a motion too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Where: sine and cosine of the latitude and height (m) in NED, position (m) in ECEF.
+    pub place: Vector3<f64>,
+    /// Velocity against the Earth, model axes, m/s.
+    pub v: Vector3<f64>,
+    /// Specific force, model axes, m/s².
+    pub f: Vector3<f64>,
+    /// Body to model axes.
+    pub c: Matrix3<f64>,
+    /// How gravity changes: per rad of latitude and per m of height in the first two columns in NED, per m of position in
+    /// ECEF.
+    pub gravity: Matrix3<f64>,
+}
+
+impl Motion {
+    /// Nothing, as the start of a sum.
+    pub(crate) const ZERO: Self = Self {
+        place: Vector3::new(0.0, 0.0, 0.0),
+        v: Vector3::new(0.0, 0.0, 0.0),
+        f: Vector3::new(0.0, 0.0, 0.0),
+        c: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        gravity: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    };
+
+    /// The sum with another one by a weight.
+    pub(crate) fn plus(&self, other: &Self, weight: f64) -> Self {
+        Self {
+            place: self.place + weight * other.place,
+            v: self.v + weight * other.v,
+            f: self.f + weight * other.f,
+            c: self.c + weight * other.c,
+            gravity: self.gravity + weight * other.gravity,
+        }
     }
 }
 
@@ -144,14 +226,31 @@ pub trait NavModel: Clone {
     /// The present solution.
     fn solution(&self) -> Solution;
 
-    /// One strapdown step; returns the error dynamics at mid-interval.
+    /// One strapdown step; returns the motion at mid-interval.
     ///
     /// # Errors
     /// As [`NavModel::new`]; the state is then unchanged.
-    fn step(&mut self, strap: &Strap) -> Result<Dynamics, Error>;
+    fn advance(&mut self, strap: &Strap) -> Result<Motion, Error>;
+
+    /// The motion at the present state under the specific force `f_b` (m/s², body axes).
+    fn motion(&self, f_b: &Vector3<f64>) -> Motion;
+
+    /// Error dynamics of a motion.
+    fn linearise(&self, motion: &Motion) -> Dynamics;
+
+    /// One strapdown step; returns the error dynamics at mid-interval.
+    ///
+    /// # Errors
+    /// As [`NavModel::advance`].
+    #[inline(always)]
+    fn step(&mut self, strap: &Strap) -> Result<Dynamics, Error> {
+        self.advance(strap).map(|motion| self.linearise(&motion))
+    }
 
     /// Error dynamics at the present state under the specific force `f_b` (m/s², body axes).
-    fn dynamics(&self, f_b: &Vector3<f64>) -> Dynamics;
+    fn dynamics(&self, f_b: &Vector3<f64>) -> Dynamics {
+        self.linearise(&self.motion(f_b))
+    }
 
     /// Removes an estimated error (estimate minus truth) from the state.
     fn correct(&mut self, x: &Vector9);

@@ -5,11 +5,11 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    Aid, DP, DV, Dynamics, EarthModel, FARTHEST_M, FASTEST_M_S, Matrix3x9, Matrix9, NavModel, PHI, Solution,
-    Vector9, check_start, finite, half_turn, lever_velocity, within,
+    Aid, DP, DV, Dynamics, EarthModel, FARTHEST_M, FASTEST_M_S, Matrix3x9, Matrix9, Motion, NavModel, PHI,
+    Solution, Vector9, check_start, finite, half_turn, lever_velocity, within,
 };
 use crate::attitude::{self, skew};
-use crate::earth::{Radii, transport_rate_n};
+use crate::earth::Radii;
 use crate::error::Error;
 use crate::frames::{Lla, wrap_pi};
 use crate::imu::Strap;
@@ -37,35 +37,65 @@ pub(super) struct Point {
     pub(super) cos_lat: f64,
     tan_lat: f64,
     pub(super) height_m: f64,
-    /// Radii of curvature, not including the height.
+    /// Radii of curvature, including the height, and what is one over them.
     radii: Radii,
+    per_m: f64,
+    per_n: f64,
     pub(super) w_ie_n: Vector3<f64>,
 }
 
 impl Point {
     pub(super) fn new(earth: &EarthModel, lat_rad: f64, height_m: f64) -> Self {
         let (sin_lat, cos_lat) = math::sin_cos(lat_rad);
+        Self::of(earth, &Vector3::new(sin_lat, cos_lat, height_m))
+    }
+
+    /// From sine and cosine of the latitude and the height, m.
+    #[inline(always)]
+    fn of(earth: &EarthModel, place: &Vector3<f64>) -> Self {
+        let (sin_lat, cos_lat, height_m) = (place.x, place.y, place.z);
+        let mut radii = earth.ellipsoid.radii(sin_lat);
+        radii.meridian_m += height_m;
+        radii.prime_vertical_m += height_m;
         Self {
             sin_lat,
             cos_lat,
             tan_lat: sin_lat / cos_lat,
             height_m,
-            radii: earth.ellipsoid.radii(sin_lat),
+            radii,
+            per_m: 1.0 / radii.meridian_m,
+            per_n: 1.0 / radii.prime_vertical_m,
             w_ie_n: earth.ellipsoid.earth_rate_n(sin_lat, cos_lat),
         }
     }
 
+    /// As [`crate::earth::transport_rate_n`].
+    #[inline(always)]
     pub(super) fn transport_rate(&self, v_n: &Vector3<f64>) -> Vector3<f64> {
-        transport_rate_n(&self.radii, self.tan_lat, self.height_m, v_n)
+        let east = v_n.y * self.per_n;
+        Vector3::new(east, -v_n.x * self.per_m, -east * self.tan_lat)
     }
 
     /// R_M + h and R_N + h, m.
     pub(super) fn scales(&self) -> (f64, f64) {
-        (self.radii.meridian_m + self.height_m, self.radii.prime_vertical_m + self.height_m)
+        (self.radii.meridian_m, self.radii.prime_vertical_m)
     }
 }
 
 impl Ned {
+    /// Gravity (m/s²), and its changes with latitude and with height as the first columns of a matrix.
+    #[inline(always)]
+    fn gravity(&self, point: &Point) -> (Vector3<f64>, Matrix3<f64>) {
+        let (g_n, by_lat, by_height) = self.earth.ellipsoid.gravity_and_rates_n(
+            self.earth.gravity,
+            point.sin_lat,
+            point.cos_lat,
+            point.height_m,
+        );
+        (g_n, Matrix3::from_columns(&[by_lat, by_height, Vector3::zeros()]))
+    }
+
+    #[inline(always)]
     pub(super) fn check(position: &Lla, v_n: &Vector3<f64>, q_nb: &UnitQuaternion<f64>) -> Result<(), Error> {
         finite("position", &[position.lat_rad, position.lon_rad])?;
         within("height", &[position.height_m], FARTHEST_M)?;
@@ -75,70 +105,6 @@ impl Ned {
             return Err(Error::LatitudeLimit { lat_rad: position.lat_rad, limit_rad: LATITUDE_LIMIT_RAD });
         }
         Ok(())
-    }
-
-    /// Error dynamics with every term of the coordinate equations: transport rate and its change with
-    /// velocity, latitude (radii included) and height, Coriolis, gravity gradient. Derived in the metre form
-    /// dp = [(R_M+h) dL, (R_N+h) cosL dlon, -dh]; compare Groves (2013), eq. 14.63-14.71, in radians.
-    fn dynamics_at(
-        &self,
-        point: &Point,
-        v: &Vector3<f64>,
-        f_n: &Vector3<f64>,
-        c_nb: &Matrix3<f64>,
-    ) -> Dynamics {
-        let ellipsoid = &self.earth.ellipsoid;
-        let (s, c, t) = (point.sin_lat, point.cos_lat, point.tan_lat);
-        let (m, n) = point.scales();
-        let rate = ellipsoid.radii_rate(s, c);
-        let w = ellipsoid.omega_rad_s;
-        let (vn, ve, vd) = (v.x, v.y, v.z);
-
-        // d(w_ie)/d(dp): only latitude, dL = dp_N / M
-        let dw_ie = Matrix3::new(-w * s / m, 0.0, 0.0, 0.0, 0.0, 0.0, -w * c / m, 0.0, 0.0);
-        // d(w_en)/d(dv)
-        let dw_dv = Matrix3::new(0.0, 1.0 / n, 0.0, -1.0 / m, 0.0, 0.0, 0.0, -t / n, 0.0);
-        // d(w_en)/d(dp): latitude with the change of the radii, height with dh = -dp_D
-        let (nn, mm) = (n * n, m * m);
-        let dw_dp = Matrix3::new(
-            -ve * rate.prime_vertical_m / (nn * m),
-            0.0,
-            ve / nn,
-            vn * rate.meridian_m / (mm * m),
-            0.0,
-            -vn / mm,
-            (ve * t * rate.prime_vertical_m / nn - ve / (n * c * c)) / m,
-            0.0,
-            -ve * t / nn,
-        );
-        let w_en = point.transport_rate(v);
-        let w_in = point.w_ie_n + w_en;
-        let v_x = skew(v);
-        let (g_lat, g_h) = ellipsoid.gravity_rates_n(self.earth.gravity, s, c, point.height_m);
-
-        let mut f = Matrix9::zeros();
-        f.fixed_view_mut::<3, 3>(PHI, PHI).copy_from(&-skew(&w_in));
-        f.fixed_view_mut::<3, 3>(PHI, DV).copy_from(&dw_dv);
-        f.fixed_view_mut::<3, 3>(PHI, DP).copy_from(&(dw_ie + dw_dp));
-        f.fixed_view_mut::<3, 3>(DV, PHI).copy_from(&skew(f_n));
-        f.fixed_view_mut::<3, 3>(DV, DV).copy_from(&(v_x * dw_dv - skew(&(w_in + point.w_ie_n))));
-        let mut gradient = Matrix3::zeros();
-        gradient.set_column(0, &(g_lat / m));
-        gradient.set_column(2, &-g_h);
-        f.fixed_view_mut::<3, 3>(DV, DP).copy_from(&(v_x * (2.0 * dw_ie + dw_dp) + gradient));
-        f.fixed_view_mut::<3, 3>(DP, DV).copy_from(&Matrix3::identity());
-        f.fixed_view_mut::<3, 3>(DP, DP).copy_from(&Matrix3::new(
-            -vd / m,
-            0.0,
-            vn / m,
-            ve * t / n,
-            -(vn * t + vd) / n,
-            ve / n,
-            0.0,
-            0.0,
-            0.0,
-        ));
-        Dynamics { f, c: *c_nb }
     }
 }
 
@@ -168,19 +134,19 @@ impl NavModel for Ned {
         Solution { position: self.position, v_n: self.v_n, q_nb: self.q_nb }
     }
 
-    fn step(&mut self, strap: &Strap) -> Result<Dynamics, Error> {
+    #[inline(always)]
+    fn advance(&mut self, strap: &Strap) -> Result<Motion, Error> {
         let dt = strap.dt_s;
         let Lla { lat_rad, lon_rad, height_m } = self.position;
         let v = self.v_n;
+        let ellipsoid = &self.earth.ellipsoid;
         // Earth at the middle of the interval, predicted with the velocity of its start
-        let start = self.earth.ellipsoid.radii(math::sin(lat_rad));
-        let point = Point::new(
-            &self.earth,
-            lat_rad + 0.5 * dt * v.x / (start.meridian_m + height_m),
-            height_m - 0.5 * dt * v.z,
-        );
-        let g_n =
-            self.earth.ellipsoid.gravity_n(self.earth.gravity, point.sin_lat, point.cos_lat, point.height_m);
+        let (sin_start, cos_start) = math::sin_cos(lat_rad);
+        let half_north = 0.5 * dt * v.x / (ellipsoid.meridian_nearly(sin_start) + height_m);
+        let (sin_lat, cos_lat) = math::sin_cos_near(sin_start, cos_start, lat_rad, half_north);
+        let place = Vector3::new(sin_lat, cos_lat, height_m - 0.5 * dt * v.z);
+        let point = Point::of(&self.earth, &place);
+        let (g_n, gravity) = self.gravity(&point);
         let acceleration = |v: &Vector3<f64>, w_en: &Vector3<f64>| g_n - (2.0 * point.w_ie_n + w_en).cross(v);
 
         let cu = self.c_nb * strap.u;
@@ -190,24 +156,71 @@ impl NavModel for Ned {
         let v_new = v + dv_f + dt * acceleration(&v_half, &w_en);
         let v_mean = 0.5 * (v + v_new);
 
-        let (m, n) = point.scales();
         let position = Lla {
-            lat_rad: lat_rad + dt * v_mean.x / m,
-            lon_rad: wrap_pi(lon_rad + dt * v_mean.y / (n * point.cos_lat)),
+            lat_rad: lat_rad + dt * v_mean.x * point.per_m,
+            lon_rad: wrap_pi(lon_rad + dt * v_mean.y * point.per_n / point.cos_lat),
             height_m: height_m - dt * v_mean.z,
         };
         let w_in = point.w_ie_n + point.transport_rate(&v_mean);
         let q_nb = self.form.advance(&self.q_nb, &strap.alpha, &(dt * w_in))?;
         Self::check(&position, &v_new, &q_nb)?;
         let c_new = attitude::dcm(&q_nb);
-        let dynamics = self.dynamics_at(&point, &v_mean, &(dv_f / dt), &(0.5 * (self.c_nb + c_new)));
+        let (f, c) = (dv_f / dt, 0.5 * (self.c_nb + c_new));
         (self.position, self.v_n, self.q_nb, self.c_nb) = (position, v_new, q_nb, c_new);
-        Ok(dynamics)
+        Ok(Motion { place, v: v_mean, f, c, gravity })
     }
 
-    fn dynamics(&self, f_b: &Vector3<f64>) -> Dynamics {
+    fn motion(&self, f_b: &Vector3<f64>) -> Motion {
         let point = Point::new(&self.earth, self.position.lat_rad, self.position.height_m);
-        self.dynamics_at(&point, &self.v_n, &(self.c_nb * f_b), &self.c_nb)
+        let place = Vector3::new(point.sin_lat, point.cos_lat, point.height_m);
+        let (_, gravity) = self.gravity(&point);
+        Motion { place, v: self.v_n, f: self.c_nb * f_b, c: self.c_nb, gravity }
+    }
+
+    /// Error dynamics with every term of the coordinate equations: transport rate and its change with
+    /// velocity, latitude (radii included) and height, Coriolis, gravity gradient. Derived in the metre form
+    /// dp = [(R_M+h) dL, (R_N+h) cosL dlon, -dh]; compare Groves (2013), eq. 14.63-14.71, in radians.
+    #[inline(always)]
+    fn linearise(&self, motion: &Motion) -> Dynamics {
+        let ellipsoid = &self.earth.ellipsoid;
+        let point = Point::of(&self.earth, &motion.place);
+        let (s, c, t) = (point.sin_lat, point.cos_lat, point.tan_lat);
+        let (m, n) = (point.per_m, point.per_n);
+        let rate = ellipsoid.radii_rate(s, c);
+        let w = ellipsoid.omega_rad_s;
+        let v = &motion.v;
+        let (north, east, down) = (v.x * m, v.y * n, v.z);
+
+        // d(w_ie)/d(dp): only latitude, dL = dp_N / M
+        let dw_ie = Vector3::new(-w * s * m, 0.0, -w * c * m);
+        // d(w_en)/d(dv): north and east
+        let by_vn = Vector3::new(0.0, -m, 0.0);
+        let by_ve = Vector3::new(n, 0.0, -t * n);
+        // d(w_en)/d(dp): latitude with the change of the radii, height with dh = -dp_D
+        let shrink = east * rate.prime_vertical_m * n;
+        let by_north =
+            m * Vector3::new(-shrink, north * rate.meridian_m * m, t * shrink - east * (1.0 + t * t));
+        let by_down = Vector3::new(east * n, -north * m, -east * t * n);
+        let w_in = point.w_ie_n + point.transport_rate(v);
+        let zero = Vector3::zeros();
+
+        let phi = [
+            -skew(&w_in),
+            Matrix3::from_columns(&[by_vn, by_ve, zero]),
+            Matrix3::from_columns(&[dw_ie + by_north, zero, by_down]),
+        ];
+        let gravity = [motion.gravity.column(0) * m, -motion.gravity.column(1).into_owned()];
+        let dv = [
+            skew(&motion.f),
+            Matrix3::from_columns(&[v.cross(&by_vn), v.cross(&by_ve), zero]) - skew(&(w_in + point.w_ie_n)),
+            Matrix3::from_columns(&[
+                v.cross(&(2.0 * dw_ie + by_north)) + gravity[0],
+                zero,
+                v.cross(&by_down) + gravity[1],
+            ]),
+        ];
+        let dp = Matrix3::new(-down * m, 0.0, north, east * t, -(v.x * t + down) * n, east, 0.0, 0.0, 0.0);
+        Dynamics::of(&phi, &dv, &dp, motion.c)
     }
 
     fn correct(&mut self, x: &Vector9) {

@@ -61,7 +61,7 @@ test: test-rust test-no-std test-py  ## all tests: Rust, no_std link proof, Pyth
 
 test-rust:  ## Rust unit, integration and documentation tests
 	$(CARGO) test $(LOCKED)
-	$(CARGO) test $(LOCKED) --features serde --tests --quiet
+	$(CARGO) test $(LOCKED) --features serde,monte-carlo --lib --tests --quiet
 
 test-no-std:  ## link and run the hot path without the standard library and without a heap
 	$(CARGO) build $(LOCKED) --release --manifest-path tests/no_std/Cargo.toml --target-dir $(NO_STD)

@@ -4,9 +4,13 @@ mod judge;
 mod propagate;
 mod save;
 mod settings;
+#[cfg(feature = "monte-carlo")]
+mod shared;
 mod update;
 
 pub use settings::{Floor, Gate, Initial, Integrity, Settings, SolutionSd};
+#[cfg(feature = "monte-carlo")]
+pub use shared::Gain;
 
 use nalgebra::{Matrix3, Vector3};
 use propagate::{Advance, Close, Open};

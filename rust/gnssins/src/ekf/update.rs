@@ -59,9 +59,9 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
 }
 
 /// H P H' + R.
-struct Prior<'a, const CAP: usize> {
-    cov: &'a Covariance<CAP>,
-    rows: &'a Rows<CAP>,
+pub(super) struct Prior<'a, const CAP: usize> {
+    pub(super) cov: &'a Covariance<CAP>,
+    pub(super) rows: &'a Rows<CAP>,
 }
 
 impl<const CAP: usize> Kernel for Prior<'_, CAP> {

@@ -62,7 +62,7 @@ test: test-rust test-no-std test-py  ## all tests: Rust, no_std link proof, Pyth
 
 test-rust:  ## Rust unit, integration and documentation tests
 	$(CARGO) test $(LOCKED)
-	$(CARGO) test $(LOCKED) --features serde --tests --quiet
+	$(CARGO) test $(LOCKED) --features serde,monte-carlo --lib --tests --quiet
 
 # What nothing calls is left out, so that the panic handler is missed by the linker only where a call leads to it.
 DROP_UNUSED := $(if $(filter Darwin,$(shell uname)),-Wl$(comma)-dead_strip,-Wl$(comma)--gc-sections)

@@ -36,7 +36,18 @@ def command_line() -> str:
         "COLUMNS": "100",
         "PYTHONIOENCODING": "utf-8",
     }
-    for command in ("", "demo", "simulate", "run", "compare", "outages", "reproduce", "budget", "schuler"):
+    for command in (
+        "",
+        "demo",
+        "simulate",
+        "run",
+        "compare",
+        "outages",
+        "montecarlo",
+        "reproduce",
+        "budget",
+        "schuler",
+    ):
         words = [sys.executable, "-m", "gnssins", *command.split(), "--help"]
         done = subprocess.run(words, check=True, capture_output=True, encoding="utf-8", env=environment)
         text = done.stdout.replace("python -m gnssins", "gnssins").strip("\n")

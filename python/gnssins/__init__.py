@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from gnssins.dataset import BaroTable, Dataset, GnssTable, HeadingTable, ImuTable, TruthTable
     from gnssins.errors import GnssinsError
     from gnssins.io import read_dataset
+    from gnssins.montecarlo import MonteCarlo, monte_carlo, simulated_run
     from gnssins.navigator import Navigator
     from gnssins.pieces import run_pieces
     from gnssins.result import Result
@@ -40,6 +41,7 @@ __all__ = [
     "HeadingTable",
     "ImuTable",
     "InitialState",
+    "MonteCarlo",
     "Navigator",
     "Result",
     "Simulated",
@@ -52,6 +54,7 @@ __all__ = [
     "config",
     "errors",
     "initial_state",
+    "monte_carlo",
     "plots",
     "preset_names",
     "read_dataset",
@@ -62,6 +65,7 @@ __all__ = [
     "separated",
     "sim",
     "simulate",
+    "simulated_run",
 ]
 
 _MODULES = ("ahrs", "analysis", "checks", "config", "errors", "plots", "reproduce", "result", "sim")
@@ -75,18 +79,21 @@ _HOME = {
     "HeadingTable": "dataset",
     "ImuTable": "dataset",
     "InitialState": "alignment",
+    "MonteCarlo": "montecarlo",
     "Navigator": "navigator",
     "Result": "result",
     "Simulated": "sim",
     "Simulator": "sim",
     "TruthTable": "dataset",
     "initial_state": "alignment",
+    "monte_carlo": "montecarlo",
     "preset_names": "config",
     "read_dataset": "io",
     "run": "runner",
     "run_pieces": "pieces",
     "separated": "uncoupled",
     "simulate": "sim",
+    "simulated_run": "montecarlo",
 }
 
 __version__: str

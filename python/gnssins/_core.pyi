@@ -4,8 +4,8 @@ Arrays are copied in, the IMU log block by block. Quaternions are scalar first a
 function raises the classes of :mod:`gnssins.errors`: ``InputError`` for shapes and types, ``ConfigError`` for values.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NotRequired, Self, TypedDict, final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, NotRequired, Self, TypedDict, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from typing_extensions import disjoint_base
 
 __all__ = [
     "FreeIns",
+    "MonteCarlo",
     "Navigator",
     "Run",
     "ahrs_flags",
@@ -26,6 +27,7 @@ __all__ = [
     "invert_strapdown",
     "is_debug_build",
     "lla_to_ecef",
+    "monte_carlo_deviates",
     "preset_json",
     "preset_names",
     "preset_summary",
@@ -321,6 +323,29 @@ class Navigator:
         """Rows by source: in, used, rejected, late, bad."""
 
 @final
+class MonteCarlo:
+    """Many simulated runs of one scenario: what they share is prepared once.
+
+    ``engine_json`` is the configuration of the filter with the true state at the start and its standard deviations;
+    ``spec_json`` the figures of the sensors and what is asked, ``columns`` truth, aids and epochs of comparison, as
+    :mod:`gnssins.montecarlo.plan` makes them.
+    """
+
+    #: Runs whose sums come together.
+    CHUNK: ClassVar[int]
+
+    def __new__(cls, engine_json: str, spec_json: str, columns: Mapping[str, Any]) -> MonteCarlo: ...
+    def run(self, first: int, last: int, jobs: int, take: Callable[[int, dict[str, Any]], object]) -> None:
+        """Go through runs ``first`` .. ``last - 1`` on threads, the GIL released.
+
+        ``take`` gets the first run and the sums of every chunk, in order and in the calling thread; it may raise.
+        Ctrl-C raises within a tenth of a second after the chunks under way.
+        """
+
+    def simulated(self, run: int) -> dict[str, Any]:
+        """Give increments, values of the aids, true errors and initial state of one run."""
+
+@final
 class FreeIns:
     """A free INS that is fed in pieces: state and memory of the increments stay between them.
 
@@ -368,6 +393,13 @@ def gravity_n(lat: _F, height: _F, ellipsoid: str, gravity: str = "normal") -> _
 
 def lla_to_ecef(lla: _F, ellipsoid: str) -> _F:
     """Latitude, longitude (rad), height (m), shape (k, 3), to ECEF (m)."""
+
+def monte_carlo_deviates(seed: int, run: int, name: str, part: int, count: int) -> _F:
+    """Normal deviates of a part of a stream, by its name, of one run: shape (count,), from the first on.
+
+    Parts from 0 drive the intervals or values one after the other, one part per component; those from 64 hold, first of
+    each, what is drawn at the start.
+    """
 
 def ecef_to_lla(ecef: _F, ellipsoid: str) -> _F:
     """ECEF (m), shape (k, 3), to latitude, longitude (rad), height (m)."""

@@ -203,6 +203,46 @@ def reproduce(
 
 
 @app.command(
+    epilog="Example: gnssins montecarlo fomichev-tan-2017 --variant gaps --runs 1000 --after 600 --store sweep.npz",
+    help="Simulate, filter and compare a scenario many times: accuracy, and whether the filter knows its errors.\n\n"
+    "Runs on all cores inside the compiled core; the figures do not depend on the number of threads. Ctrl-C prints "
+    "what is finished; with --store the same command goes on from there.",
+)
+def montecarlo(
+    scenario: Annotated[
+        str, typer.Argument(metavar="SCENARIO", help="Name of a packaged scenario, or a TOML file.")
+    ],
+    config: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[CONFIG.toml]", help="Filter; default: the one that models the errors of the scenario."
+        ),
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, help="Number of runs.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the set.")] = 0,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Threads; default: one per core.")] = None,
+    covariance: Annotated[
+        str, typer.Option(help="full: every run has its own; shared: all have that of the errorless run.")
+    ] = "full",
+    after: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Root mean squares and NIS count times after this one.")
+    ] = 0.0,
+    variant: Annotated[str | None, typer.Option(help="Variant that the scenario defines.")] = None,
+    store: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keep finished runs here, and go on from there.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write the figures as JSON.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Simulate, filter and compare a scenario many times."""
+    from gnssins.commands import sweeping
+
+    sweeping.montecarlo(scenario, config, variant, runs, seed, jobs, covariance, after, store, out, json)
+
+
+@app.command(
     epilog="Example: gnssins outages drive.toml --length 60 --count 7",
     help="How fast the errors grow when GNSS is lost: withhold the fixes of several windows, and tell the errors after "
     "so many seconds.\n\n"

@@ -187,7 +187,7 @@ class DemoReport:
 
     def _consistency(self) -> str:
         lines = [
-            "3. Does the filter know its own errors? One run each: only many runs can prove it (see monte_carlo)"
+            "3. Does the filter know its own errors? One run each: only many runs can prove it (see gnssins montecarlo)"
         ]
         for name, flight in (("GNSS throughout", self.whole), ("three gaps", self.gaps)):
             steady = flight.nees.after(AFTER_S)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["heading", "message", "progress", "put", "put_json"]
+__all__ = ["heading", "message", "plain", "progress", "put", "put_json"]
 
 
 def put(text: str = "") -> None:
@@ -27,7 +27,7 @@ def heading(text: str) -> None:
 
 def put_json(value: Mapping[str, Any]) -> None:
     """Write one JSON document to stdout; a number that is not finite becomes null."""
-    put(json.dumps(_plain(value), indent=2, ensure_ascii=False))
+    put(json.dumps(plain(value), indent=2, ensure_ascii=False))
 
 
 def message(text: str, style: str = "") -> None:
@@ -59,13 +59,14 @@ def progress(text: str) -> Iterator[Callable[[float], None] | None]:
         yield lambda share: bars.update(task, completed=share)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Take a value apart into what JSON knows; a number that is not finite becomes None."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, str | int | float | bool | None) else str(value)

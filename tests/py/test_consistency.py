@@ -1,6 +1,5 @@
-"""NEES and NIS: right numbers for drawn errors, right signs, right words; Monte Carlo with any number of jobs."""
+"""NEES and NIS: right numbers for drawn errors, right signs, right words."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from gnssins import _core
-from gnssins.analysis import Parameters, Track, chi_square_bounds, monte_carlo, nees, nis, run_seed
+from gnssins.analysis import Parameters, Track, chi_square_bounds, nees, nis, run_seed
 from gnssins.analysis.consistency import direction
 from gnssins.errors import InputError
 from gnssins.result import Covariance
-from short_flight import GAP_S, config, result, simulated, simulator
+from short_flight import result, simulated
 
 S = 1_000_000_000
 
@@ -128,41 +127,6 @@ def test_nis_of_no_fixes_is_empty():
 
 
 # ---- many runs
-
-
-def _figures(**how):
-    quick = config(output_rate_hz=1.0, outages=[GAP_S])
-    return monte_carlo(simulator(), quick, runs=4, seed=5, after_s=50.0, **how)
-
-
-def test_monte_carlo_gives_the_same_bits_for_any_number_of_jobs():
-    one, two = _figures(jobs=1), _figures(jobs=2)
-    with ThreadPoolExecutor(3) as pool:
-        three = _figures(executor=pool)
-    for other in (two, three):
-        assert np.array_equal(one.position, other.position)
-        assert np.array_equal(one.gap_ends, other.gap_ends)
-        assert np.array_equal(one.nees["all"].value, other.nees["all"].value)
-        assert one.to_dict() == other.to_dict()
-
-
-def test_monte_carlo_adds_up():
-    shares: list[float] = []
-    found = _figures(progress=shares.append)
-    assert shares == [0.25, 0.5, 0.75, 1.0]
-    assert found.gap_ends.shape == found.gap_sds.shape == (4, 1, 9)
-    assert found.gap_ratio.shape == (1, 9)
-    assert found.position == pytest.approx(np.sqrt(np.mean(found.run_position**2, axis=0)))
-    assert found.nees["all"].runs == 4
-    assert found.nees["all"].bounds == chi_square_bounds(18, 4)
-    assert found.counts["in"] == sum(found.counts[k] for k in ("used", "rejected", "late", "bad"))
-    assert found.nis.count == pytest.approx(4 * 200, abs=10)
-    assert "over sigma" in found.table()
-
-
-def test_a_failing_run_ends_the_set_with_its_error():
-    with pytest.raises(InputError, match="no IMU row"):
-        monte_carlo(simulator(), config(start_s=1e4), runs=3, jobs=2)
 
 
 def test_seeds_of_runs_and_sets_differ():

@@ -95,3 +95,11 @@ def test_rust_example_runs_and_finds_its_way():
     (nis,) = re.findall(r"mean NIS .*: (\S+)", done.stdout)
     assert 5.0 < float(nis) < 7.0
     assert re.findall(r"imu\.gap", done.stdout) == ["imu.gap"]
+
+
+def test_python_of_the_monte_carlo_how_to_runs(capsys):
+    names: dict[str, object] = {"__name__": "page"}
+    for text in blocks("howto/monte-carlo.md", "python"):
+        exec(compile(text, "howto/monte-carlo.md", "exec"), names)
+    assert names["result"].counts["gnss"]["used"] > 100
+    assert "Root mean square of 40 runs" in capsys.readouterr().out

@@ -9,9 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gnssins import Config, Simulator, _core, run
+from gnssins import Config, MonteCarlo, Simulator, _core, monte_carlo, run
 from gnssins.analysis.consistency import chi_square_bounds
-from gnssins.analysis.montecarlo import MonteCarlo, monte_carlo
 from gnssins.errors import StateError
 from gnssins.sim import load_scenario, relocate
 

@@ -1,4 +1,4 @@
-"""How good is a trajectory, and does the filter know it? Errors, outages, consistency, Monte Carlo.
+"""How good is a trajectory, and does the filter know it? Errors, outages, consistency, ensembles.
 
 Every result is a frozen object with ``table()`` (text) and ``to_dict()`` (plain numbers).
 """
@@ -21,12 +21,12 @@ from gnssins.analysis.forms import FormTable, agile_flight, attitude_forms, thre
 from gnssins.analysis.gates import Share
 from gnssins.analysis.growth import OutageGrowth, outage_growth
 from gnssins.analysis.integrity import Integrity, integrity
-from gnssins.analysis.montecarlo import MonteCarlo, monte_carlo, run_seed
 from gnssins.analysis.noise import BandLimited
 from gnssins.analysis.observable import Observability, observability
 from gnssins.analysis.outages import Outage, OutageTable, outage_table
 from gnssins.analysis.schuler import SchulerCurves, schuler_curves
 from gnssins.analysis.windows import place_windows
+from gnssins.sim.streams import run_seed
 
 __all__ = [
     "BandLimited",
@@ -35,7 +35,6 @@ __all__ = [
     "Ensemble",
     "FormTable",
     "Integrity",
-    "MonteCarlo",
     "NavErrors",
     "Nees",
     "NeesGroup",
@@ -62,7 +61,6 @@ __all__ = [
     "integrity",
     "interpolate",
     "linearity_bound",
-    "monte_carlo",
     "ned_difference",
     "nees",
     "nis",

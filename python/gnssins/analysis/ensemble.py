@@ -1,6 +1,6 @@
 """Errors of every state over many seeded runs, at chosen epochs and over chosen spans, beside what the filter claimed.
 
-:func:`gnssins.analysis.monte_carlo` adds up as it goes and keeps sums only; an ensemble keeps the errors themselves, so
+:func:`gnssins.monte_carlo` adds up as it goes and keeps sums only; an ensemble keeps the errors themselves, so
 that medians, quantiles and growth over a gap can be told of any state. Navigation errors are estimate minus truth along
 north, east, down; block errors are estimate minus truth too (the covariance counts them the other way round).
 """
@@ -12,26 +12,36 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gnssins.analysis import text
 from gnssins.analysis.consistency import Nees, NeesGroup, Nis, NisGroup, chi_square_bounds, direction
-from gnssins.analysis.montecarlo import Simulator, run_seed
 from gnssins.analysis.sample import NEAR_S, Sample, rms_of, sample_run
 from gnssins.config import Config
 from gnssins.errors import InputError
 from gnssins.parallel import ordered
 from gnssins.runner import as_config, run
+from gnssins.sim.streams import run_seed
 from gnssins.tables import State, table_unit
 from gnssins.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from gnssins.sim import Simulated
 
 __all__ = ["Ensemble", "Sample", "ensemble", "sample_run"]
 
 Array = NDArray[np.float64]
 Windows = Sequence[tuple[float, float]]
+
+
+class Simulator(Protocol):
+    """Makes run after run: :class:`gnssins.sim.Simulator`, or anything like it that threads may share."""
+
+    def run(self, seed: int) -> Simulated:
+        """Make the run of one seed."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -248,6 +248,7 @@ def engine_config(config: Config, initial: Mapping[str, Any] | None = None) -> d
     engine: dict[str, Any] = {
         **filter_settings(config, preset),
         "floor": floor_settings(config),
+        "covariance_every": config.filter.covariance_every,
         "feedback_ns": units.seconds_to_ns(config.filter.feedback_interval_s),
         "imu": imu_settings(config, preset),
         "blocks": blocks,

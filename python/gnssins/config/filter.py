@@ -238,6 +238,14 @@ class FilterConfig(Section):
         description="Terms of the transition matrix series, 1 to 3; left out: as in the preset, else 3",
         examples=[3],
     )
+    covariance_every: int = Field(
+        default=1,
+        ge=1,
+        le=100,
+        description="IMU intervals that the covariance goes through at once, with the mean of their dynamics; it is always "
+        "brought up to date where a measurement is fused; sigmas of outputs in between are so many samples old at most. "
+        "1: at every sample",
+    )
     coning: Literal["two-sample", "one-sample", "third-order"] | None = Field(
         default=None,
         description="Coning and sculling compensation of increments; third-order: two-sample with one more term of the "

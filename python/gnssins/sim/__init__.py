@@ -118,6 +118,15 @@ class Simulator:
         Unknown scenario or variant, or a wrong scenario.
     MissingFileError
         No such file.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        With the tables of the variant.
+    outages : tuple of (from, to)
+        Times without fixes, s.
+    truth_step : int
+        IMU samples from one row of the truth table to the next.
     """
 
     def __init__(
@@ -132,9 +141,9 @@ class Simulator:
         self.variant = variant
         self.outages = _outages(source, variant, outages)
         self.scenario = source if variant is None else source.with_variant(variant)
-        self._truth_step = 1
+        self.truth_step = 1
         if truth_rate_hz is not None:
-            self._truth_step = max(1, round(self.scenario.scenario.rate_hz / truth_rate_hz))
+            self.truth_step = max(1, round(self.scenario.scenario.rate_hz / truth_rate_hz))
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -144,7 +153,7 @@ class Simulator:
     @cached_property
     def truth(self) -> TruthTable:
         """True motion at the rate of the truth table."""
-        rows, path = slice(None, None, self._truth_step), self.trajectory
+        rows, path = slice(None, None, self.truth_step), self.trajectory
         return TruthTable(path.t_ns[rows], path.lla[rows], path.v_n[rows], path.q_nb[rows])
 
     def run(self, seed: int) -> Simulated:
@@ -184,7 +193,7 @@ class Simulator:
             dataset=Dataset(imu, gnss, self.truth, meta=meta, baro=baro, heading=heading),
             initial=initial,
             initial_error=initial_error,
-            truth_blocks={name: history[:: self._truth_step] for name, history in blocks.items()},
+            truth_blocks={name: history[:: self.truth_step] for name, history in blocks.items()},
             scenario=self.scenario,
             seed=seed,
             outages=self.outages,

@@ -17,7 +17,15 @@ from .receiver_errors import change_rows, slow_errors
 from .streams import Streams
 from .trajectory import Trajectory
 
-__all__ = ["antenna_motion", "fix_times", "in_sight", "simulate_gnss"]
+__all__ = [
+    "antenna_ecef",
+    "antenna_motion",
+    "change_marks",
+    "fix_times",
+    "in_sight",
+    "simulate_gnss",
+    "white_sd",
+]
 
 Array = NDArray[np.float64]
 TimeArray = NDArray[np.int64]
@@ -63,23 +71,18 @@ def simulate_gnss(
     if "gnss_lever_arm" in blocks:
         lever = lever + blocks["gnss_lever_arm"][0]
     lla, v_n = antenna_motion(trajectory, t_ns, lever)
-    count, changed = len(t_ns), change_rows(t_ns, gnss.constellation_changes)
-    var = np.full((count, 6), np.nan)
+    count, sd = len(t_ns), white_sd(gnss, t_ns)
     if gnss.position_sd_m is None:
         lla = np.full((count, 3), np.nan)
     else:
-        sd = _white_sd(gnss.position_sd_m, gnss.position_jump_sd_m, changed, count)
-        var[:, :3] = np.square(sd)
-        error = streams("gnss.position").standard_normal((count, 3)) * sd
+        error = streams("gnss.position").standard_normal((count, 3)) * sd[:, :3]
         if "gnss_position_error" in slow:
             error += slow["gnss_position_error"].at(t_ns)
         lla = displaced(lla, error, trajectory.ellipsoid)
     if gnss.velocity_sd_m_s is None:
         v_n = np.full((count, 3), np.nan)
     else:
-        sd = _white_sd(gnss.velocity_sd_m_s, gnss.velocity_jump_sd_m_s, changed, count)
-        var[:, 3:] = np.square(sd)
-        v_n = v_n + streams("gnss.velocity").standard_normal((count, 3)) * sd
+        v_n = v_n + streams("gnss.velocity").standard_normal((count, 3)) * sd[:, 3:]
         if "gnss_velocity_error" in slow:
             v_n = v_n + slow["gnss_velocity_error"].at(t_ns)
     blocks |= {name: error.history() for name, error in slow.items()}
@@ -88,8 +91,8 @@ def simulate_gnss(
         (t_ns + ms_to_ns(gnss.latency_ms))[seen],
         lla[seen],
         v_n[seen],
-        var[seen],
-        _marks(t_ns[seen], gnss) if gnss.constellation_changes else None,
+        np.square(sd[seen]),
+        change_marks(gnss, t_ns[seen]),
     )
     return table, blocks
 
@@ -102,18 +105,29 @@ def in_sight(t_ns: TimeArray, outages: Sequence[tuple[float, float]]) -> NDArray
     return seen
 
 
-def _marks(t_ns: TimeArray, gnss: Gnss) -> NDArray[np.bool_]:
-    """Tell the first of these fixes at or after each change of the satellites."""
+def change_marks(gnss: Gnss, t_ns: TimeArray) -> NDArray[np.bool_] | None:
+    """Tell the first of these fixes at or after each change of the satellites; None if they never change."""
+    if not gnss.constellation_changes:
+        return None
     marks = np.zeros(len(t_ns), dtype=np.bool_)
     marks[change_rows(t_ns, gnss.constellation_changes)] = True
     return marks
 
 
-def _white_sd(sd: Sequence[float], jump_sd: Sequence[float], changed: NDArray[np.intp], count: int) -> Array:
-    """Standard deviation of the white noise of each fix, shape (m, 3)."""
-    all_sd = np.tile(np.asarray(sd, dtype=np.float64), (count, 1))
-    all_sd[changed] = np.hypot(all_sd[changed], jump_sd)
-    return all_sd
+def white_sd(gnss: Gnss, t_ns: TimeArray) -> Array:
+    """Standard deviations of the white noise of fixes, shape (m, 6); NaN for what the receiver does not give."""
+    out = np.full((len(t_ns), 6), np.nan)
+    changed = change_rows(t_ns, gnss.constellation_changes)
+    parts = (
+        (gnss.position_sd_m, gnss.position_jump_sd_m),
+        (gnss.velocity_sd_m_s, gnss.velocity_jump_sd_m_s),
+    )
+    for part, (sd, jump_sd) in enumerate(parts):
+        if sd is not None:
+            columns = out[:, 3 * part : 3 * part + 3]
+            columns[:] = sd
+            columns[changed] = np.hypot(columns[changed], jump_sd)
+    return out
 
 
 def fix_times(trajectory: Trajectory, aid: Sampled) -> TimeArray:
@@ -148,6 +162,13 @@ def antenna_motion(trajectory: Trajectory, t_ns: TimeArray, lever_ba_b_m: Array)
     v_n : ndarray, shape (m, 3)
         Velocity in the north-east-down axes of the antenna (m/s).
     """
+    position, velocity = antenna_ecef(trajectory, t_ns, lever_ba_b_m)
+    lla = np.asarray(_core.ecef_to_lla(position, trajectory.ellipsoid))
+    return lla, np.einsum("mji,mj->mi", c_en(lla), velocity)
+
+
+def antenna_ecef(trajectory: Trajectory, t_ns: TimeArray, lever_ba_b_m: Array) -> tuple[Array, Array]:
+    """Position (m) and velocity (m/s) as of :func:`antenna_motion`, ECEF axes, shapes (m, 3)."""
     before = np.clip(np.searchsorted(trajectory.t_ns, t_ns, side="right") - 1, 0, len(trajectory) - 2)
     position, velocity = _antenna_at_epochs(trajectory, before, lever_ba_b_m)
     next_position, next_velocity = _antenna_at_epochs(trajectory, before + 1, lever_ba_b_m)
@@ -156,9 +177,7 @@ def antenna_motion(trajectory: Trajectory, t_ns: TimeArray, lever_ba_b_m: Array)
     step_s = (step_ns / NS_PER_S)[:, np.newaxis]
     bulge = 0.5 * step_s * share * (1.0 - share) * (next_velocity - velocity)
     position = position + share * (next_position - position) - bulge
-    velocity = velocity + share * (next_velocity - velocity)
-    lla = np.asarray(_core.ecef_to_lla(position, trajectory.ellipsoid))
-    return lla, np.einsum("mji,mj->mi", c_en(lla), velocity)
+    return position, velocity + share * (next_velocity - velocity)
 
 
 def _antenna_at_epochs(trajectory: Trajectory, rows: NDArray[np.intp], lever: Array) -> tuple[Array, Array]:

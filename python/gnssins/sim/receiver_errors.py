@@ -21,7 +21,7 @@ from .processes import gauss_markov, gauss_markov_varying
 from .streams import Streams
 from .trajectory import Trajectory
 
-__all__ = ["SlowError", "change_rows", "slow_errors"]
+__all__ = ["SlowError", "change_rows", "fading", "slow_errors"]
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -128,6 +128,15 @@ def slow_errors(trajectory: Trajectory, gnss: Gnss, t_ns: Times, streams: Stream
     return errors
 
 
+def fading(trajectory: Trajectory, figures: CorrelatedPosition | CorrelatedVelocity) -> Array:
+    """Integral of the rate of an error over each interval of the truth, shape (n - 1,)."""
+    growth = trajectory.dt_s / figures.tau_s
+    if figures.distance_m is None:
+        return growth
+    ground = np.hypot(trajectory.v_n[:, 0], trajectory.v_n[:, 1])
+    return np.asarray(growth + 0.5 * (ground[1:] + ground[:-1]) * trajectory.dt_s / figures.distance_m)
+
+
 def _draw(
     name: str,
     trajectory: Trajectory,
@@ -137,13 +146,11 @@ def _draw(
     jump_ns: Times,
     streams: Streams,
 ) -> SlowError:
-    dt_s = trajectory.dt_s
-    growth = dt_s / figures.tau_s
+    growth = fading(trajectory, figures)
     if figures.distance_m is None:
-        stationary = gauss_markov(streams(name), len(trajectory), float(np.mean(dt_s)), sd, figures.tau_s)
+        dt_s = float(np.mean(trajectory.dt_s))
+        stationary = gauss_markov(streams(name), len(trajectory), dt_s, sd, figures.tau_s)
     else:
-        ground = np.hypot(trajectory.v_n[:, 0], trajectory.v_n[:, 1])
-        growth = growth + 0.5 * (ground[1:] + ground[:-1]) * dt_s / figures.distance_m
         stationary = gauss_markov_varying(streams(name), growth, sd)
     decay = np.concatenate([[0.0], np.cumsum(growth)])
     if not np.any(jump_sd):

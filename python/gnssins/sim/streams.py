@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-__all__ = ["Streams"]
+__all__ = ["Streams", "run_seed"]
 
 
 class Streams:
@@ -35,3 +35,8 @@ class Streams:
         digest = hashlib.sha256(name.encode("utf-8")).digest()
         key = tuple(int.from_bytes(digest[i : i + 4], "little") for i in (0, 4, 8, 12))
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key)))
+
+
+def run_seed(seed: int, index: int) -> int:
+    """Seed of run ``index`` of a set: hashed, so that neighbouring sets and runs share nothing."""
+    return int(np.random.SeedSequence(seed, spawn_key=(index,)).generate_state(1, np.uint64)[0] >> 1)

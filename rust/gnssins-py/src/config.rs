@@ -18,6 +18,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::{convert, errors};
 
+/// What `covariance_every` is where it is left out.
+const fn one() -> u32 {
+    1
+}
+
 /// Everything that the engine needs besides the rows.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -29,6 +34,8 @@ pub struct EngineConfig {
     #[serde(default)]
     pub attitude_form: AttitudeForm,
     pub phi_order: u8,
+    #[serde(default = "one")]
+    pub covariance_every: u32,
     #[serde(default)]
     pub floor: FloorConfig,
     #[serde(default)]
@@ -166,6 +173,7 @@ impl EngineConfig {
             earth: EarthModel { ellipsoid: ellipsoid(py, &self.ellipsoid)?, gravity: self.gravity },
             noise: ImuNoise { gyro_psd: self.imu.gyro_psd.into(), accel_psd: self.imu.accel_psd.into() },
             order: Order::from_number(self.phi_order).map_err(|e| own(&e))?,
+            covariance_every: self.covariance_every,
             coning: self.coning,
             lever_b_m: self.gnss.lever_b_m.into(),
             gate_probability: [
@@ -346,6 +354,7 @@ impl From<&Preset> for EngineConfig {
             coning: Coning::default(),
             attitude_form: AttitudeForm::default(),
             phi_order: 3,
+            covariance_every: 1,
             floor: FloorConfig::default(),
             feedback_ns: 0,
             imu: ImuConfig {

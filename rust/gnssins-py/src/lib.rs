@@ -8,6 +8,7 @@ mod engine;
 mod errors;
 mod free;
 mod maths;
+mod monte_carlo;
 mod navigator;
 mod run;
 
@@ -37,6 +38,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(ahrs::ahrs_flags, m)?)?;
     m.add_class::<run::Run>()?;
     m.add_class::<navigator::Navigator>()?;
+    m.add_class::<monte_carlo::PyMonteCarlo>()?;
+    m.add_function(wrap_pyfunction!(monte_carlo::monte_carlo_deviates, m)?)?;
     m.add_class::<free::FreeIns>()?;
     m.add_function(wrap_pyfunction!(free::strapdown_three_rate, m)?)?;
     maths::register(m)

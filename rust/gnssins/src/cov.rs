@@ -171,7 +171,7 @@ impl<const CAP: usize> Covariance<CAP> {
     /// Returns the gain k = P h'/(h P h' + 1), or `None` (nothing changed) when h P h' + 1 is not positive.
     pub fn update(&mut self, h: &[f64; CAP]) -> Option<[f64; CAP]> {
         let gain = self.update_kernel::<Plain>(&Sparse::of(h))?;
-        self.mirror();
+        self.mirror::<Plain>();
         Some(gain.0)
     }
 
@@ -199,7 +199,8 @@ impl<const CAP: usize> Covariance<CAP> {
                 E::load(c).madd(hj, a).store(c);
             }
         }
-        for ((row, &ki), &ci) in self.p.iter_mut().zip(&k.0).zip(&c.0).take(n) {
+        let n = n.min(CAP);
+        for ((row, &ki), &ci) in self.p[..n].iter_mut().zip(&k.0[..n]).zip(&c.0[..n]) {
             let (minus, ci) = (E::splat(-ki), E::splat(ci));
             for ((p, ph), k) in lanes_mut(row).iter_mut().zip(lanes(&ph.0)).zip(lanes(&k.0)) {
                 E::load(p).madd(minus, E::load(ph)).madd(ci, E::load(k)).store(p);
@@ -245,26 +246,55 @@ impl<const CAP: usize> Covariance<CAP> {
         self.p.iter_mut().filter_map(|row| row.get_mut(i)).for_each(|a| *a *= factor);
     }
 
-    /// `P <- G P G'` where G differs from I only in the 3x3 block at `start`.
-    pub(crate) fn transform3(&mut self, start: usize, g: &nalgebra::Matrix3<f64>) {
-        for j in 0..self.n {
-            let v = g * nalgebra::Vector3::new(self.p[start][j], self.p[start + 1][j], self.p[start + 2][j]);
-            for i in 0..3 {
-                self.p[start + i][j] = v[i];
+    /// `P <- G P G'` where G differs from I only in the 3x3 block at `START`: three rows, and the columns after them.
+    #[inline(always)]
+    pub(crate) fn transform3<E: Eight, const START: usize>(&mut self, g: &nalgebra::Matrix3<f64>) {
+        let rows = &mut self.p[START..START + 3];
+        for tile in 0..CAP / LANES {
+            let mut old = [E::splat(0.0); 3];
+            for (old, row) in old.iter_mut().zip(&*rows) {
+                *old = E::load(&lanes(row)[tile]);
+            }
+            for (i, row) in rows.iter_mut().enumerate() {
+                let sum = old[0].times(E::splat(g[(i, 0)])).madd(old[1], E::splat(g[(i, 1)]));
+                sum.madd(old[2], E::splat(g[(i, 2)])).store(&mut lanes_mut(row)[tile]);
             }
         }
-        for row in self.p.iter_mut().take(self.n) {
-            let v = g * nalgebra::Vector3::new(row[start], row[start + 1], row[start + 2]);
-            row[start..start + 3].copy_from_slice(v.as_slice());
+        let old =
+            core::array::from_fn::<_, 3, _>(|i| core::array::from_fn::<_, 3, _>(|j| rows[i][START + j]));
+        for i in 0..3 {
+            for j in 0..=i {
+                let new = old[i][0] * g[(j, 0)] + old[i][1] * g[(j, 1)] + old[i][2] * g[(j, 2)];
+                self.set(START + i, START + j, new);
+            }
         }
-        self.mirror();
+        for j in (0..START).chain(START + 3..self.n.min(CAP)) {
+            one_by_one();
+            for i in START..START + 3 {
+                self.p[j][i] = self.p[i][j];
+            }
+        }
     }
 
     /// Copies the lower triangle to the upper: symmetry is exact by construction.
-    pub(crate) fn mirror(&mut self) {
-        for i in 0..self.n {
+    #[inline(always)]
+    pub(crate) fn mirror<E: Eight>(&mut self) {
+        for i in 0..self.n.div_ceil(LANES).min(CAP / LANES) {
+            let (above, rows) = self.p.split_at_mut(i * LANES);
             for j in 0..i {
-                self.p[j][i] = self.p[i][j];
+                let mut block = [E::splat(0.0); LANES];
+                for (b, row) in block.iter_mut().zip(&*rows) {
+                    *b = E::load(&lanes(row)[j]);
+                }
+                for (row, b) in above.iter_mut().skip(j * LANES).zip(E::transpose(block)) {
+                    b.store(&mut lanes_mut(row)[i]);
+                }
+            }
+            for k in 0..LANES {
+                one_by_one();
+                for l in 0..k {
+                    rows[l][i * LANES + k] = rows[k][i * LANES + l];
+                }
             }
         }
     }
@@ -274,11 +304,14 @@ impl<const CAP: usize> Covariance<CAP> {
     /// # Errors
     /// [`Error::Covariance`] with the first state that fails and its variance.
     pub(crate) fn check_variances(&self, t_ns: i64) -> Result<(), Error> {
-        let bad = |v: f64| !(v.is_finite() && v > 0.0);
-        match (0..self.len()).find(|i| bad(self.p[*i][*i])) {
-            Some(state) => Err(Error::Covariance { t_ns, state, pivot: self.p[state][state] }),
-            None => Ok(()),
+        for (state, row) in self.p[..self.n.min(CAP)].iter().enumerate() {
+            let variance = row[state];
+            // NaN fails the comparison too
+            if !(variance > 0.0 && variance < f64::INFINITY) {
+                return Err(Error::Covariance { t_ns, state, pivot: variance });
+            }
         }
+        Ok(())
     }
 
     /// Verifies that P is finite and positive definite, by a factorisation of the correlation matrix.
@@ -362,24 +395,48 @@ pub(crate) struct Sparse<const CAP: usize> {
 }
 
 impl<const CAP: usize> Sparse<CAP> {
-    #[inline(always)]
+    /// None.
+    pub(crate) const EMPTY: Self = Self { index: [0; CAP], value: [0.0; CAP], len: 0 };
+
     pub(crate) fn of(h: &[f64; CAP]) -> Self {
-        let mut sparse = Self { index: [0; CAP], value: [0.0; CAP], len: 0 };
-        for (j, &hj) in h.iter().enumerate() {
-            if hj != 0.0 && sparse.len < CAP {
-                // no filter has 256 states
-                sparse.index[sparse.len] = j as u8;
-                sparse.value[sparse.len] = hj;
-                sparse.len += 1;
+        let mut sparse = Self::EMPTY;
+        sparse.set::<Plain>(h);
+        sparse
+    }
+
+    /// Becomes those of a row.
+    #[inline(always)]
+    pub(crate) fn set<E: Eight>(&mut self, h: &[f64; CAP]) {
+        self.len = 0;
+        for (tile, h) in lanes(h).iter().enumerate() {
+            let mut left = E::load(h).nonzero();
+            while left != 0 {
+                let lane = left.trailing_zeros() as usize % LANES;
+                left &= left - 1;
+                if let (Some(index), Some(value)) =
+                    (self.index.get_mut(self.len), self.value.get_mut(self.len))
+                {
+                    // no filter has 256 states
+                    (*index, *value) = ((tile * LANES + lane) as u8, h[lane]);
+                    self.len += 1;
+                }
             }
         }
-        sparse
+    }
+
+    /// Multiplies all numbers.
+    #[inline(always)]
+    pub(crate) fn scale(&mut self, factor: f64) {
+        for value in self.value.iter_mut().take(self.len) {
+            *value *= factor;
+        }
     }
 
     /// Places and values.
     #[inline(always)]
     fn iter(&self) -> impl Iterator<Item = (usize, f64)> {
-        self.index.iter().zip(&self.value).take(self.len).map(|(j, h)| (usize::from(*j).min(CAP - 1), *h))
+        let len = self.len.min(CAP);
+        self.index[..len].iter().zip(&self.value[..len]).map(|(j, h)| (usize::from(*j).min(CAP - 1), *h))
     }
 
     /// Scalar product with a full vector.

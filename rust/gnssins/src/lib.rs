@@ -9,6 +9,7 @@
 //! | [`discretise`], [`cov`], [`ekf`] | transition and noise, covariance, the filter |
 //! | [`meas`] | measurements |
 //! | [`inverse`], [`vertical`] | exact increments for a given motion, INS without aids, its vertical channel |
+//! | `monte_carlo` | many simulated runs and their sums (feature `monte-carlo`) |
 //! | [`ahrs`] | attitude from gyro, accelerometer, magnetometer alone |
 //! | [`stream`] | rows in time order to a filter: gaps, fixes between samples, counts |
 //!
@@ -53,6 +54,8 @@ pub mod inverse;
 pub mod layout;
 pub mod math;
 pub mod meas;
+#[cfg(feature = "monte-carlo")]
+pub mod monte_carlo;
 pub mod nav;
 pub mod presets;
 pub mod simd;

@@ -76,17 +76,6 @@ pub(crate) const LANES: usize = 8;
 /// Numbers side by side.
 pub(crate) type Lanes = [f64; LANES];
 
-/// Rows of the unit matrix.
-pub(crate) const ONE: [Lanes; LANES] = {
-    let mut one = [[0.0; LANES]; LANES];
-    let mut i = 0;
-    while i < LANES {
-        one[i][i] = 1.0;
-        i += 1;
-    }
-    one
-};
-
 /// Eight numbers that are computed together.
 pub(crate) trait Eight: Copy {
     /// Whether a product is added before it is rounded.
@@ -110,6 +99,8 @@ pub(crate) trait Eight: Copy {
     fn sum(self) -> f64;
     /// Eight rows to eight columns.
     fn transpose(rows: [Self; LANES]) -> [Self; LANES];
+    /// Bit i is set where number i is not zero.
+    fn nonzero(self) -> u8;
 }
 
 /// Stands in a loop over numbers that lie far apart: without it the compiler gathers and scatters them by vectors, which costs
@@ -199,6 +190,15 @@ impl Eight for Plain {
             }
         }
         out
+    }
+
+    #[inline(always)]
+    fn nonzero(self) -> u8 {
+        let mut bits = 0;
+        for i in 0..LANES {
+            bits |= u8::from(self.0[i] != 0.0) << i;
+        }
+        bits
     }
 }
 
@@ -314,6 +314,15 @@ mod x86 {
             }
             out
         }
+
+        #[inline(always)]
+        fn nonzero(self) -> u8 {
+            let mut bits = 0;
+            for (i, x) in self.0.iter().enumerate() {
+                bits |= unsafe { _mm_movemask_pd(_mm_cmpneq_pd(*x, _mm_setzero_pd())) } << (2 * i);
+            }
+            bits as u8
+        }
     }
 
     #[target_feature(enable = "avx2,fma")]
@@ -400,6 +409,11 @@ mod x86 {
                     Self(odd(ad37, eh37)),
                 ]
             }
+        }
+
+        #[inline(always)]
+        fn nonzero(self) -> u8 {
+            unsafe { _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(self.0, _mm512_setzero_pd()) }
         }
     }
 
@@ -499,6 +513,16 @@ mod x86 {
                 ]
             }
         }
+
+        #[inline(always)]
+        fn nonzero(self) -> u8 {
+            unsafe {
+                let zero = _mm256_setzero_pd();
+                let low = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_NEQ_UQ>(self.0, zero));
+                let high = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_NEQ_UQ>(self.1, zero));
+                (low | high << 4) as u8
+            }
+        }
     }
 
     /// 0 + 2 and 1 + 3 first.
@@ -542,6 +566,9 @@ mod tests {
             // a product that is exact: fused or not, the sum is the same
             push(E::splat(1.5).madd(E::splat(0.25), b));
             out.push(a.sum());
+            let mut holes = [0.0; LANES];
+            (holes[1], holes[2], holes[6], holes[7]) = (-0.0, 1e-300, f64::NAN, -3.0);
+            out.push(f64::from(E::load(&holes).nonzero()));
             out.push(madd::<E>(0.5, 3.0, 0.1));
             out
         }
@@ -553,6 +580,7 @@ mod tests {
         let [column, row] = [2, 5].map(|i| 24 + 8 * i);
         assert_eq!(plain[column + 5], 1.0 / (1.3 + 42.0) - 0.1);
         assert_eq!(plain[row + 2], 1.0 / (1.3 + 21.0) - 0.1);
+        assert_eq!(plain[plain.len() - 2], f64::from(0b1100_0100_u8));
         for isa in Isa::ALL {
             assert_eq!(run(isa, All), plain, "{isa:?}");
         }

@@ -8,38 +8,69 @@ pub const ROWS_MAX: usize = 6;
 /// Square matrix of a measurement, the first rows and columns in use.
 pub type Square = [[f64; ROWS_MAX]; ROWS_MAX];
 
-/// Lower Cholesky factor of the leading `n` x `n` part, or `None` when it is not positive definite.
-pub(crate) fn cholesky(a: &Square, n: usize) -> Option<Square> {
-    let mut l = [[0.0; ROWS_MAX]; ROWS_MAX];
-    for i in 0..n.min(ROWS_MAX) {
-        for j in 0..=i {
-            let sum = a[i][j] - l[i].iter().zip(&l[j]).take(j).map(|(x, y)| x * y).sum::<f64>();
-            if i == j {
-                if !(sum.is_finite() && sum > 0.0) {
-                    return None;
-                }
-                l[i][i] = math::sqrt(sum);
-            } else {
-                l[i][j] = sum / l[j][j];
-            }
-        }
-    }
-    Some(l)
+/// Lower Cholesky factor of the leading part of a matrix.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Factor {
+    /// What stands below the diagonal.
+    pub(crate) l: Square,
+    /// One over the diagonal.
+    pub(crate) per: [f64; ROWS_MAX],
+    /// Whether nothing stands below the diagonal.
+    pub(crate) diagonal: bool,
+    n: usize,
 }
 
-/// Solves `l x = b` in place for each of the `n` rows of `b`, the rows being vectors of any width.
-pub(crate) fn forward<const W: usize>(l: &Square, b: &mut [[f64; W]; ROWS_MAX], n: usize) {
-    for i in 0..n.min(ROWS_MAX) {
-        let (done, rest) = b.split_at_mut(i);
-        let row = &mut rest[0];
-        for (lij, d) in l[i].iter().zip(done.iter()) {
-            for (x, y) in row.iter_mut().zip(d) {
-                *x -= lij * y;
+impl Factor {
+    /// Of the leading `n` x `n` part, or `None` when it is not positive definite.
+    #[inline]
+    pub(crate) fn of(a: &Square, n: usize) -> Option<Self> {
+        let n = n.min(ROWS_MAX);
+        let mut factor = Self { l: [[0.0; ROWS_MAX]; ROWS_MAX], per: [0.0; ROWS_MAX], diagonal: true, n };
+        for i in 0..n {
+            for j in 0..i {
+                factor.diagonal &= a[i][j] == 0.0;
             }
         }
-        for x in row.iter_mut() {
-            *x /= l[i][i];
+        let l = &mut factor.l;
+        for i in 0..n {
+            let mut pivot = a[i][i];
+            if !factor.diagonal {
+                for j in 0..i {
+                    let mut sum = a[i][j];
+                    for k in 0..j {
+                        sum -= l[i][k] * l[j][k];
+                    }
+                    sum *= factor.per[j];
+                    l[i][j] = sum;
+                    pivot -= sum * sum;
+                }
+            }
+            if !(pivot.is_finite() && pivot > 0.0) {
+                return None;
+            }
+            factor.per[i] = 1.0 / math::sqrt(pivot);
         }
+        Some(factor)
+    }
+
+    /// x of `l x = b`; 0 behind the leading part.
+    #[inline]
+    pub(crate) fn solve(&self, b: &[f64; ROWS_MAX]) -> [f64; ROWS_MAX] {
+        let mut x = [0.0; ROWS_MAX];
+        for i in 0..self.n.min(ROWS_MAX) {
+            let mut sum = b[i];
+            for j in 0..i {
+                sum -= self.l[i][j] * x[j];
+            }
+            x[i] = sum * self.per[i];
+        }
+        x
+    }
+
+    /// b' A⁻¹ b.
+    #[inline]
+    pub(crate) fn norm_squared(&self, b: &[f64; ROWS_MAX]) -> f64 {
+        self.solve(b).iter().map(|x| x * x).sum()
     }
 }
 
@@ -105,14 +136,24 @@ mod tests {
         let a: Square = core::array::from_fn(|i| {
             core::array::from_fn(|j| if i == j { 2.0 + i as f64 } else { 0.3 / (1.0 + (i + j) as f64) })
         });
-        let l = cholesky(&a, 6).unwrap();
-        let mut x = a;
-        forward(&l, &mut x, 6); // L^-1 A = L'
-        for i in 0..6 {
-            for j in 0..6 {
-                assert!((x[i][j] - l[j][i]).abs() < 1e-14);
+        for n in 1..=6 {
+            let factor = Factor::of(&a, n).unwrap();
+            assert_eq!(factor.diagonal, n == 1);
+            // L^-1 A = L', column by column; what stands behind the leading part does not count
+            for j in 0..n {
+                let column: [f64; 6] = core::array::from_fn(|i| if i < n { a[i][j] } else { f64::NAN });
+                let x = factor.solve(&column);
+                for i in 0..6 {
+                    let below = if i == j && i < n { 1.0 / factor.per[i] } else { factor.l[j][i] };
+                    assert!((x[i] - if i < n { below } else { 0.0 }).abs() < 1e-14, "{n} {i} {j}");
+                }
             }
         }
-        assert!(cholesky(&[[1.0; 6]; 6], 6).is_none());
+        let alone = Factor::of(
+            &core::array::from_fn(|i| core::array::from_fn(|j| if i == j { 4.0 } else { 0.0 })),
+            6,
+        );
+        assert!(alone.is_some_and(|f| f.diagonal && f.norm_squared(&[2.0; 6]) == 6.0));
+        assert!(Factor::of(&[[1.0; 6]; 6], 6).is_none());
     }
 }

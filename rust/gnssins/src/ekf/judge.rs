@@ -1,12 +1,10 @@
 //! Whether a measurement is to be believed: innovation, its covariance, and the tests on both.
 
 use super::{Ekf, Gate};
-use crate::cov::Sparse;
 use crate::error::Error;
 use crate::math;
 use crate::meas::{BadReason, PART, PARTS, Record, Rows, Source, Status, Test};
 use crate::nav::NavModel;
-use crate::simd::Plain;
 use crate::small::{self, ROWS_MAX};
 
 /// Largest ratio of prior variance over noise variance that a full covariance in double precision can take in.
@@ -25,27 +23,15 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     ) -> Result<Result<Record, BadReason>, Error> {
         let mut record = Record::unevaluated(source, row, self.t_ns, Status::Used);
         record.dof = rows.len;
-        let mut s = rows.r;
-        for i in 0..rows.len {
-            let ph = self.cov.times(&rows.h[i]);
-            for j in 0..=i {
-                let hph = Sparse::of(&rows.h[j]).dot::<Plain>(&ph);
-                s[i][j] += hph;
-                if j < i {
-                    s[j][i] += hph;
-                }
-            }
-            if s[i][i] > PRECISION * rows.r[i][i] {
-                return Ok(Err(BadReason::Covariance));
-            }
+        let s = self.innovation_covariance(rows);
+        if (0..rows.len).any(|i| s[i][i] > PRECISION * rows.r[i][i]) {
+            return Ok(Err(BadReason::Covariance));
         }
-        let Some(l) = small::cholesky(&s, rows.len) else {
+        let Some(factor) = small::Factor::of(&s, rows.len) else {
             self.cov.check(self.t_ns)?;
             return Ok(Err(BadReason::Covariance));
         };
-        let mut white = rows.y.map(|y| [y]);
-        small::forward(&l, &mut white, rows.len);
-        record.nis = white.iter().take(rows.len).map(|w| w[0] * w[0]).sum();
+        record.nis = factor.norm_squared(&rows.y);
         for i in 0..rows.len {
             let c = rows.component[i];
             record.present |= 1 << c;
@@ -138,16 +124,14 @@ fn components(bits: u8) -> ([usize; ROWS_MAX], usize) {
 /// NIS of some components by themselves, and their number; infinite where their covariance is none.
 fn part_nis(record: &Record, bits: u8) -> (f64, usize) {
     let (list, len) = components(bits);
-    let (mut s, mut y) = ([[0.0; ROWS_MAX]; ROWS_MAX], [[0.0]; ROWS_MAX]);
+    let (mut s, mut y) = ([[0.0; ROWS_MAX]; ROWS_MAX], [0.0; ROWS_MAX]);
     for i in 0..len {
-        y[i] = [record.innovation[list[i]]];
+        y[i] = record.innovation[list[i]];
         for j in 0..len {
             s[i][j] = record.innovation_cov[list[i]][list[j]];
         }
     }
-    let Some(l) = small::cholesky(&s, len) else { return (f64::INFINITY, len) };
-    small::forward(&l, &mut y, len);
-    (y.iter().take(len).map(|w| w[0] * w[0]).sum(), len)
+    (small::Factor::of(&s, len).map_or(f64::INFINITY, |factor| factor.norm_squared(&y)), len)
 }
 
 /// Innovation squared over the trace of its covariance; Novik (2011), integrity test of a subvector.

@@ -4,15 +4,20 @@ mod judge;
 mod propagate;
 mod save;
 mod settings;
+#[cfg(feature = "monte-carlo")]
+mod shared;
+mod update;
 
 pub use settings::{Floor, Gate, Initial, Integrity, Settings, SolutionSd};
+#[cfg(feature = "monte-carlo")]
+pub use shared::Gain;
 
 use nalgebra::{Matrix3, Vector3};
 use propagate::{Advance, Close, Open};
 
-use crate::attitude::{self, skew};
+use crate::attitude;
 use crate::blocks::Block;
-use crate::cov::{Covariance, Sparse, lanes, lanes_mut};
+use crate::cov::Covariance;
 use crate::discretise::{BlockStep, ImuNoise, Transition};
 use crate::error::Error;
 use crate::imu::{Calibration, ImuDelta, Rates, Strap};
@@ -20,8 +25,8 @@ use crate::layout::Layout;
 use crate::meas::{BadReason, Measurement, Record, Rows, SOURCES, Status, View};
 use crate::nav::kinematics::AttitudeForm;
 use crate::nav::{DP, DV, Dynamics, Matrix9, NAV, NavModel, PHI, Solution, Vector9, from_ned_errors};
-use crate::simd::{self, Eight, Isa, Kernel};
-use crate::small::{self, ROWS_MAX};
+use crate::simd::{self, Isa};
+use crate::small::ROWS_MAX;
 
 /// Nanoseconds per second.
 const NS: f64 = 1e9;
@@ -358,7 +363,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         if record.refused != 0 {
             rows = rows.without(record.refused);
         }
-        self.fuse(rows)?;
+        self.fuse(&rows)?;
         if record.position_used() {
             self.accepted = Some((self.t_ns, self.solution()));
         }
@@ -397,39 +402,6 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         self.w_ib_b = self.sensors[0].rate(gyro);
     }
 
-    fn fuse(&mut self, mut rows: Rows<CAP>) -> Result<(), Error> {
-        let bad = |pivot| Error::Covariance { t_ns: self.t_ns, state: DP, pivot };
-        let l = small::cholesky(&rows.r, rows.len).ok_or(bad(rows.r[0][0]))?;
-        let mut y = rows.y.map(|y| [y]);
-        small::forward(&l, &mut y, rows.len);
-        small::forward(&l, &mut rows.h, rows.len);
-        let kernel = Fuse { cov: &mut self.cov, rows: &rows, y: &y };
-        let mut x = simd::run(self.isa, kernel).ok_or(Error::Covariance {
-            t_ns: self.t_ns,
-            state: DP,
-            pivot: f64::NAN,
-        })?;
-        if let Some(floor) = self.floor {
-            match self.model.to_ned_errors().and_then(|t| t.try_inverse()) {
-                None => self.cov.raise_to(&floor),
-                Some(inverse) => self.raise_ned(&floor, &inverse),
-            }
-        }
-        if let Some(waiting) = self.waiting.take() {
-            for (x, w) in x.iter_mut().zip(&waiting) {
-                *x += w;
-            }
-        }
-        if self.t_ns.saturating_sub(self.fed_back_ns) >= self.settings.feedback_ns {
-            self.feed_back(&x)?;
-            self.fed_back_ns = self.t_ns;
-        } else {
-            self.waiting = Some(x);
-        }
-        self.cov.check_variances(self.t_ns)?;
-        self.check_position()
-    }
-
     /// Lower bounds along north, east, down where the model has other axes: what is missing there is added, turned by
     /// `inverse` into the model's axes.
     fn raise_ned(&mut self, floor: &[f64; CAP], inverse: &Matrix9) {
@@ -446,19 +418,6 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let mut blocks = *floor;
         blocks[..NAV].fill(0.0);
         self.cov.raise_to(&blocks);
-    }
-
-    /// Moves the error estimate into the state. The attitude error is then measured from another estimate,
-    /// Exp(-phi⁺) = Exp(phi_hat) Exp(-phi), so phi⁺ = (I + [phi_hat x]/2)(phi - phi_hat): P turns with it.
-    fn feed_back(&mut self, x: &[f64; CAP]) -> Result<(), Error> {
-        let nav = navigation(x);
-        self.model.correct(&nav);
-        let phi: Vector3<f64> = nav.fixed_rows::<3>(PHI).into();
-        self.cov.transform3(PHI, &(Matrix3::identity() + 0.5 * skew(&phi)));
-        for (p, x) in self.params.iter_mut().zip(x).skip(NAV) {
-            *p += x;
-        }
-        self.refresh_sensors()
     }
 
     /// Covariance of the navigation errors along north, east, down.
@@ -518,33 +477,6 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
 
 /// Position sigma at which a solution is none, m: far below where the covariance loses its digits.
 const UNKNOWN_M: f64 = 1e6;
-
-/// The whitened rows into the covariance, one after the other: the error estimate, or `None` when P is none any more.
-struct Fuse<'a, const CAP: usize> {
-    cov: &'a mut Covariance<CAP>,
-    rows: &'a Rows<CAP>,
-    y: &'a [[f64; 1]; ROWS_MAX],
-}
-
-impl<const CAP: usize> Kernel for Fuse<'_, CAP> {
-    type Output = Option<[f64; CAP]>;
-
-    #[inline(always)]
-    fn run<E: Eight>(self) -> Option<[f64; CAP]> {
-        let Self { cov, rows, y } = self;
-        let mut x = [0.0; CAP];
-        for (h, y) in rows.h.iter().zip(y).take(rows.len) {
-            let h = Sparse::of(h);
-            let left = E::splat(y[0] - h.dot::<E>(&x));
-            let gain = cov.update_kernel::<E>(&h)?;
-            for (x, k) in lanes_mut(&mut x).iter_mut().zip(lanes(&gain.0)) {
-                E::load(x).madd(E::load(k), left).store(x);
-            }
-        }
-        cov.mirror();
-        Some(x)
-    }
-}
 
 /// The navigation errors of an error vector.
 fn navigation<const CAP: usize>(x: &[f64; CAP]) -> Vector9 {

@@ -35,6 +35,43 @@ impl Open {
         way_m: 0.0,
     };
 
+    /// Numbers that [`Open::pack`] gives.
+    pub(super) const PACKED: usize = 42;
+
+    /// The numbers that make it up, for saving bit by bit.
+    pub(super) fn pack(&self) -> [f64; Self::PACKED] {
+        let Motion { place, v, f, c, gravity } = &self.motion;
+        let ImuNoise { gyro_psd, accel_psd } = &self.extra;
+        let scalars = [f64::from(self.steps), self.dt_s, self.way_m];
+        let vectors = [place, v, f, &self.dtheta, &self.dvel, gyro_psd, accel_psd];
+        let mut packed = [0.0; Self::PACKED];
+        let numbers = scalars
+            .iter()
+            .chain(vectors.into_iter().flat_map(|v| v.iter()))
+            .chain(c.iter())
+            .chain(gravity.iter());
+        for (p, x) in packed.iter_mut().zip(numbers) {
+            *p = *x;
+        }
+        packed
+    }
+
+    /// What [`Open::pack`] gave.
+    pub(super) fn unpack(packed: &[f64; Self::PACKED]) -> Self {
+        let mut open = Self::NONE;
+        open.steps = packed[0] as u32;
+        (open.dt_s, open.way_m) = (packed[1], packed[2]);
+        let Motion { place, v, f, c, gravity } = &mut open.motion;
+        let ImuNoise { gyro_psd, accel_psd } = &mut open.extra;
+        let vectors = [place, v, f, &mut open.dtheta, &mut open.dvel, gyro_psd, accel_psd];
+        let numbers =
+            vectors.into_iter().flat_map(|v| v.iter_mut()).chain(c.iter_mut()).chain(gravity.iter_mut());
+        for (x, p) in numbers.zip(&packed[3..]) {
+            *x = *p;
+        }
+        open
+    }
+
     /// One more interval.
     fn add(&mut self, motion: &Motion, delta: &ImuDelta, extra: &ImuNoise, speed_m_s: f64) {
         let dt_s = delta.dt_s;
@@ -60,12 +97,24 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
 
     /// Ground speed where errors are correlated over the way, 0 elsewhere.
     #[inline(always)]
-    fn speed_m_s(&self) -> f64 {
+    pub(super) fn speed_m_s(&self) -> f64 {
         if !self.spatial {
             return 0.0;
         }
         let v_n = self.model.solution().v_n;
         math::hypot(v_n.x, v_n.y)
+    }
+
+    /// Block parameters through the interval of the block step.
+    #[inline(always)]
+    pub(super) fn decay(&mut self) -> Result<(), Error> {
+        if !self.block_step.decays {
+            return Ok(());
+        }
+        for (p, d) in self.params.iter_mut().zip(&self.block_step.diagonal) {
+            *p *= d;
+        }
+        self.refresh_sensors()
     }
 }
 
@@ -141,11 +190,5 @@ fn through<E: Eight, M: NavModel, const CAP: usize>(
         transition.carry(x);
     }
     seen(&transition);
-    if ekf.block_step.decays {
-        for (p, d) in ekf.params.iter_mut().zip(&ekf.block_step.diagonal) {
-            *p *= d;
-        }
-        ekf.refresh_sensors()?;
-    }
-    Ok(())
+    ekf.decay()
 }

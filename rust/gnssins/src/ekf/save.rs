@@ -3,6 +3,7 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::Ekf;
+use super::propagate::Open;
 use crate::bytes::{Reader, Writer};
 use crate::error::Error;
 use crate::frames::Lla;
@@ -14,7 +15,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     #[must_use]
     pub const fn saved_len(&self) -> usize {
         let n = self.layout.len();
-        8 * (3 + 10 + (n - NAV) + n * (n + 1) / 2 + 1 + 7 + 3 + (2 + n) + (2 + 10))
+        8 * (3 + 10 + (n - NAV) + n * (n + 1) / 2 + 1 + 7 + 3 + (2 + n) + (2 + 10) + Open::PACKED)
     }
 
     /// Writes the state; [`Ekf::restore`] continues from it with the same bits.
@@ -45,7 +46,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         out.i64(t_ns)?;
         out.f64s(&[s.position.lat_rad, s.position.lon_rad, s.position.height_m])?;
         out.f64s(s.v_n.as_slice())?;
-        out.f64s(&[s.q_nb.w, s.q_nb.i, s.q_nb.j, s.q_nb.k])
+        out.f64s(&[s.q_nb.w, s.q_nb.i, s.q_nb.j, s.q_nb.k])?;
+        out.f64s(&self.open.pack())
     }
 
     /// Restores a state that a filter of the same model and blocks saved.
@@ -96,7 +98,11 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
                 q_nb: UnitQuaternion::new_unchecked(Quaternion::new(q[0], q[1], q[2], q[3])),
             },
         ));
+        let mut open = [0.0; Open::PACKED];
+        saved.f64s(&mut open)?;
+        next.open = Open::unpack(&open);
         let numbers = next.params.iter().chain(&dt).chain(v.iter().flatten()).chain(&x).chain(&a).chain(&q);
+        let numbers = numbers.chain(&open);
         if !numbers.copied().all(f64::is_finite) {
             return Err(Error::NonFinite { what: "saved state", t_ns: next.t_ns });
         }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::{BadReason, Measurement, Rows, View};
-use crate::blocks::{Coupling, Source};
+use crate::blocks::{Axis, Coupling, Source};
 use crate::frames::Lla;
 use crate::nav::{Aid, NAV, NavModel};
 use crate::small::{self, ROWS_MAX, Square};
@@ -64,18 +64,21 @@ const ASYMMETRY: f64 = 1e-6;
 
 /// Checks the sub-matrix of the present components and returns it.
 fn check_covariance(full: &Square, component: &[usize; ROWS_MAX], len: usize) -> Result<Square, BadReason> {
+    let at = |i: usize, j: usize| full[component[i] % ROWS_MAX][component[j] % ROWS_MAX];
     let mut r = [[0.0; ROWS_MAX]; ROWS_MAX];
-    for i in 0..len {
-        for j in 0..len {
-            let (a, b) = (full[component[i]][component[j]], full[component[j]][component[i]]);
-            let scale = full[component[i]][component[i]].abs().max(full[component[j]][component[j]].abs());
-            if !scale.is_finite() || (a - b).abs() > ASYMMETRY * scale {
+    for i in 0..len.min(ROWS_MAX) {
+        for j in 0..=i {
+            let (a, b) = (at(i, j), at(j, i));
+            let scale = at(i, i).abs().max(at(j, j).abs());
+            // NaN fails the comparison too
+            if !(scale < f64::INFINITY && (a - b).abs() <= ASYMMETRY * scale) {
                 return Err(BadReason::Covariance);
             }
             r[i][j] = 0.5 * (a + b);
+            r[j][i] = r[i][j];
         }
     }
-    small::cholesky(&r, len).ok_or(BadReason::Covariance).map(|_| r)
+    small::Factor::of(&r, len).ok_or(BadReason::Covariance).map(|_| r)
 }
 
 impl Measurement for GnssFix {
@@ -87,6 +90,7 @@ impl Measurement for GnssFix {
         self.new_constellation
     }
 
+    #[inline(always)]
     fn rows<M: NavModel, const CAP: usize>(&self, view: &View<M, CAP>) -> Result<Rows<CAP>, BadReason> {
         self.check_values()?;
         let present = self.present();
@@ -107,47 +111,67 @@ impl Measurement for GnssFix {
             view.model.velocity_aid(&view.lever_b_m, &view.w_ib_b, &measured_v, self.position.as_ref())
         });
         let mut rows = Rows { len, y: [0.0; ROWS_MAX], h: [[0.0; CAP]; ROWS_MAX], r, component };
-        for row in 0..len {
-            let (aid, axis) = match component[row] {
-                c @ 0..3 => (position.as_ref(), c),
-                c => (velocity.as_ref(), c - 3),
-            };
-            if let Some(aid) = aid {
-                fill(&mut rows, row, aid, axis, view);
-            }
+        if let Some(aid) = &position {
+            fill(&mut rows, aid, 0, view);
+        }
+        if let Some(aid) = &velocity {
+            fill(&mut rows, aid, 3, view);
         }
         Ok(rows)
     }
 }
 
-/// One row: the navigation part from the aid, the block parts from the layout.
-fn fill<M, const CAP: usize>(rows: &mut Rows<CAP>, row: usize, aid: &Aid, axis: usize, view: &View<M, CAP>) {
-    let component = rows.component[row];
-    let h = &mut rows.h[row];
-    rows.y[row] = aid.y[axis];
-    for (j, value) in h.iter_mut().take(NAV).enumerate() {
-        *value = aid.h[(axis, j)];
+/// The rows of the components from `first` on: the navigation part from the aid, the block parts from the layout.
+#[inline(always)]
+fn fill<M, const CAP: usize>(rows: &mut Rows<CAP>, aid: &Aid, first: usize, view: &View<M, CAP>) {
+    let Rows { len, y, h, component, .. } = rows;
+    // where a row has the component of an axis
+    let mut row_of = [None; 3];
+    for (row, c) in component.iter().enumerate().take(*len) {
+        if let Some(place) = c.checked_sub(first).and_then(|axis| row_of.get_mut(axis)) {
+            *place = Some(row);
+        }
+    }
+    for (axis, row) in row_of.iter().enumerate() {
+        if let Some((y, h)) = row.and_then(|row| y.get_mut(row).zip(h.get_mut(row))) {
+            *y = aid.y[axis];
+            for (j, value) in h.iter_mut().take(NAV).enumerate() {
+                *value = aid.h[(axis, j)];
+            }
+        }
     }
     for (j, coupling) in view.layout.couplings() {
-        match coupling {
-            Coupling::Gyro(input) => {
+        let column: Vector3<f64> = match coupling {
+            // a position does not feel a rate
+            Coupling::Gyro(input) if first > 0 => {
                 let factor = match input.source {
                     Source::Unit => 1.0,
                     Source::Component(k) => view.w_ib_b[k as usize],
                 };
-                h[j] = aid.h_gyro[(axis, input.axis as usize)] * factor;
+                aid.h_gyro.column(input.axis as usize) * factor
             }
-            Coupling::LeverArm(k) => h[j] = aid.h_lever[(axis, k as usize)],
-            // measured = true + error + noise, predicted = model + estimated error
-            Coupling::GnssPosition(k) if component == k as usize => {
-                h[j] = -1.0;
-                rows.y[row] += view.params[j];
+            Coupling::LeverArm(k) => aid.h_lever.column(k as usize).into(),
+            Coupling::GnssPosition(k) if first == 0 => error_of(k),
+            Coupling::GnssVelocity(k) if first > 0 => error_of(k),
+            _ => continue,
+        };
+        let parameter = if matches!(coupling, Coupling::GnssPosition(_) | Coupling::GnssVelocity(_)) {
+            view.params[j]
+        } else {
+            0.0
+        };
+        for (value, row) in column.iter().zip(row_of) {
+            if let Some((y, h)) = row.and_then(|row| y.get_mut(row).zip(h.get_mut(row))) {
+                *y -= value * parameter;
+                h[j] = *value;
             }
-            Coupling::GnssVelocity(k) if component == k as usize + 3 => {
-                h[j] = -1.0;
-                rows.y[row] += view.params[j];
-            }
-            _ => {}
         }
     }
+}
+
+/// measured = true + error + noise, predicted = model + estimated error: the error that is left enters with minus one.
+fn error_of(axis: Axis) -> Vector3<f64> {
+    let mut column = Vector3::zeros();
+    column[axis as usize] = -1.0;
+    column
 }

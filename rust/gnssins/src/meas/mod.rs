@@ -189,6 +189,7 @@ impl Measurement for Observation {
         inner!(self, m => m.new_constellation())
     }
 
+    #[inline(always)]
     fn rows<M: NavModel, const CAP: usize>(&self, view: &View<M, CAP>) -> Result<Rows<CAP>, BadReason> {
         inner!(self, m => m.rows(view))
     }

@@ -1,5 +1,7 @@
 //! Error-state blocks as data: what a filter estimates beside position, velocity and attitude.
 
+use nalgebra::Vector3;
+
 use crate::error::Error;
 
 /// Most states that one block has (a full misalignment matrix).
@@ -52,6 +54,18 @@ pub(crate) enum Axis {
     X,
     Y,
     Z,
+}
+
+impl Axis {
+    /// Component along it.
+    pub(crate) const fn of(self, v: &Vector3<f64>) -> f64 {
+        let [x, y, z] = v.data.0[0];
+        match self {
+            Self::X => x,
+            Self::Y => y,
+            Self::Z => z,
+        }
+    }
 }
 
 /// The axis of state `i` of a block of three.

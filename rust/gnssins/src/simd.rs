@@ -79,6 +79,7 @@ pub(crate) type Lanes = [f64; LANES];
 /// Eight numbers that are computed together.
 pub(crate) trait Eight: Copy {
     /// Whether a product is added before it is rounded.
+    #[cfg_attr(not(feature = "std"), expect(dead_code, reason = "only plain numbers there"))]
     const FUSED: bool;
     /// Sums of eight that stay in registers beside each other.
     const SUMS: usize;

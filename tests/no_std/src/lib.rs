@@ -28,12 +28,6 @@ use nalgebra::{UnitQuaternion, Vector3};
 const CAP: usize = 16;
 const STEP_NS: i64 = 10_000_000;
 const STEPS_PER_FIX: u32 = 100;
-/// Whether measurements are fused as well: what fuses them can still panic.
-const FUSES: bool = false;
-/// How far from the truth the filter starts, north and east, m.
-const START_M: [f64; 2] = if FUSES { [3.0, -4.0] } else { [0.0; 2] };
-/// Measurements that may wait in the stream.
-const PENDING: usize = if FUSES { 32 } else { 0 };
 
 unsafe extern "C" {
     /// Nowhere defined: a linker that asks for it has found a path to a panic.
@@ -115,8 +109,8 @@ impl Parked {
 
     fn filter<M: NavModel>(&self, earth: EarthModel) -> Result<Ekf<M, CAP>, Error> {
         let start = Lla {
-            lat_rad: self.truth.lat_rad + START_M[0] * self.per_m[0],
-            lon_rad: self.truth.lon_rad + START_M[1] * self.per_m[1],
+            lat_rad: self.truth.lat_rad + 3.0 * self.per_m[0],
+            lon_rad: self.truth.lon_rad - 4.0 * self.per_m[1],
             height_m: self.truth.height_m,
         };
         let solution = Solution { position: start, v_n: Vector3::zeros(), q_nb: UnitQuaternion::identity() };
@@ -158,9 +152,7 @@ fn filtered<M: NavModel>(seconds: u32) -> Result<f64, Error> {
         }
         t_ns += STEP_NS;
         ekf.predict_rates(t_ns, black_box(&parked.rates), black_box(&parked.rates))?;
-        if FUSES {
-            ekf.update(u64::from(second), black_box(&GnssFix { t_ns, ..parked.fix }))?;
-        }
+        ekf.update(u64::from(second), black_box(&GnssFix { t_ns, ..parked.fix }))?;
         ekf.save(&mut Writer::new(black_box(&mut saved)))?;
         ekf.restore(&mut Reader::new(black_box(&saved)))?;
         black_box((ekf.params(), ekf.ned_covariance(), ekf.lever_b_m(), ekf.solution_sd()));
@@ -192,10 +184,8 @@ impl Sink for Told {
 fn streamed<M: NavModel>(seconds: u32) -> Result<f64, Error> {
     let earth = black_box(EarthModel::default());
     let parked = Parked::new(&earth);
-    let mut navigator = Navigator::<M, CAP, PENDING>::with_queue(
-        parked.filter::<M>(earth)?,
-        black_box(StreamSettings::default()),
-    );
+    let mut navigator =
+        Navigator::<M, CAP>::new(parked.filter::<M>(earth)?, black_box(StreamSettings::default()));
     let nav = black_box(&mut navigator);
     let mut told = Told::default();
     let Rates { gyro, accel } = parked.rates;
@@ -206,14 +196,12 @@ fn streamed<M: NavModel>(seconds: u32) -> Result<f64, Error> {
             nav.imu(t_ns, black_box(&gyro), black_box(&accel), &mut told)?;
             black_box(&mut *nav);
         }
-        if FUSES {
-            let height = BaroHeight { t_ns, height_m: parked.truth.height_m, variance: 1.0 };
-            nav.gnss(black_box(&GnssFix { t_ns, ..parked.fix }), &mut told)?;
-            nav.baro(black_box(&height), &mut told)?;
-            nav.heading(black_box(&Heading { t_ns, heading_rad: 0.0, variance: 1e-4 }), &mut told)?;
-        }
+        let height = BaroHeight { t_ns, height_m: parked.truth.height_m, variance: 1.0 };
+        nav.gnss(black_box(&GnssFix { t_ns, ..parked.fix }), &mut told)?;
+        nav.baro(black_box(&height), &mut told)?;
+        nav.heading(black_box(&Heading { t_ns, heading_rad: 0.0, variance: 1e-4 }), &mut told)?;
     }
     nav.finish(&mut told);
-    let whole = told.used == if FUSES { 3 * seconds } else { 0 } && told.events == 0;
+    let whole = told.used == 3 * seconds && told.events == 0;
     Ok(if whole { parked.error_m(&nav.ekf().solution().position) } else { 1000.0 })
 }

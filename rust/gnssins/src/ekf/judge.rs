@@ -24,7 +24,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let mut record = Record::unevaluated(source, row, self.t_ns, Status::Used);
         record.dof = rows.len;
         let s = self.innovation_covariance(rows);
-        if (0..rows.len).any(|i| s[i][i] > PRECISION * rows.r[i][i]) {
+        let len = rows.len.min(ROWS_MAX);
+        if (0..len).any(|i| s[i][i] > PRECISION * rows.r[i][i]) {
             return Ok(Err(BadReason::Covariance));
         }
         let Some(factor) = small::Factor::of(&s, rows.len) else {
@@ -32,12 +33,12 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             return Ok(Err(BadReason::Covariance));
         };
         record.nis = factor.norm_squared(&rows.y);
-        for i in 0..rows.len {
-            let c = rows.component[i];
+        let component = rows.component.map(|c| c.min(ROWS_MAX - 1));
+        for (i, &c) in component.iter().enumerate().take(len) {
             record.present |= 1 << c;
             record.innovation[c] = -rows.y[i];
-            for j in 0..rows.len {
-                record.innovation_cov[c][rows.component[j]] = s[i][j];
+            for (j, &d) in component.iter().enumerate().take(len) {
+                record.innovation_cov[c][d] = s[i][j];
             }
         }
         Ok(if record.nis.is_finite() { Ok(record) } else { Err(BadReason::Value) })
@@ -47,7 +48,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
     pub(super) fn judge(&self, rows: &Rows<CAP>, record: &mut Record) {
         let gates = &self.gates[record.source.index()];
         let set = &self.settings.integrity;
-        let whole = set.gate == Gate::Joint && record.nis > gates[rows.len];
+        let whole = set.gate == Gate::Joint && record.nis > gates[rows.len.min(ROWS_MAX)];
         if whole {
             record.refuse(record.present, Test::ChiSquare);
         }
@@ -58,7 +59,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             }
             if set.gate == Gate::Parts {
                 let (nis, dof) = part_nis(record, bits);
-                if nis > gates[dof] {
+                if nis > gates[dof.min(ROWS_MAX)] {
                     record.refuse(bits, Test::ChiSquare);
                 }
             }
@@ -99,7 +100,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             (accel * dt, now.v_n - then.v_n)
         };
         // measured minus extrapolated = predicted minus extrapolated, less y = predicted minus measured
-        (0..rows.len).filter(|i| rows.component[*i] / PART == part).any(|i| {
+        (0..rows.len.min(ROWS_MAX)).filter(|i| rows.component[*i] / PART == part).any(|i| {
             let off = moved[rows.component[i] % PART] - rows.y[i];
             math::abs(off) > reach + TOLERANCE_SIGMAS * math::sqrt(rows.r[i][i])
         })
@@ -111,24 +112,19 @@ const fn part_bits(part: usize) -> u8 {
     0b111 << (part * PART)
 }
 
-/// Components among some bits, and how many they are.
-fn components(bits: u8) -> ([usize; ROWS_MAX], usize) {
-    let (mut list, mut len) = ([0; ROWS_MAX], 0);
-    for c in (0..ROWS_MAX).filter(|c| bits >> c & 1 == 1) {
-        list[len] = c;
-        len += 1;
-    }
-    (list, len)
+/// Components among some bits.
+fn components(bits: u8) -> impl Iterator<Item = usize> {
+    (0..ROWS_MAX).filter(move |c| bits >> c & 1 == 1)
 }
 
 /// NIS of some components by themselves, and their number; infinite where their covariance is none.
 fn part_nis(record: &Record, bits: u8) -> (f64, usize) {
-    let (list, len) = components(bits);
+    let len = components(bits).count();
     let (mut s, mut y) = ([[0.0; ROWS_MAX]; ROWS_MAX], [0.0; ROWS_MAX]);
-    for i in 0..len {
-        y[i] = record.innovation[list[i]];
-        for j in 0..len {
-            s[i][j] = record.innovation_cov[list[i]][list[j]];
+    for ((row, y), i) in s.iter_mut().zip(&mut y).zip(components(bits)) {
+        *y = record.innovation[i];
+        for (s, j) in row.iter_mut().zip(components(bits)) {
+            *s = record.innovation_cov[i][j];
         }
     }
     (small::Factor::of(&s, len).map_or(f64::INFINITY, |factor| factor.norm_squared(&y)), len)
@@ -136,8 +132,6 @@ fn part_nis(record: &Record, bits: u8) -> (f64, usize) {
 
 /// Innovation squared over the trace of its covariance; Novik (2011), integrity test of a subvector.
 fn trace_ratio(record: &Record, bits: u8) -> f64 {
-    let (list, len) = components(bits);
-    let list = &list[..len];
-    let squared: f64 = list.iter().map(|c| record.innovation[*c] * record.innovation[*c]).sum();
-    squared / list.iter().map(|c| record.innovation_cov[*c][*c]).sum::<f64>()
+    let squared: f64 = components(bits).map(|c| record.innovation[c] * record.innovation[c]).sum();
+    squared / components(bits).map(|c| record.innovation_cov[c][c]).sum::<f64>()
 }

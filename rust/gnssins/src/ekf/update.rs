@@ -7,7 +7,7 @@ use crate::attitude::skew;
 use crate::cov::{Covariance, Sparse, lanes, lanes_mut};
 use crate::error::Error;
 use crate::meas::Rows;
-use crate::nav::{DP, NAV, NavModel, PHI};
+use crate::nav::{DP, NAV, NavModel, PHI, from_ned_errors};
 use crate::simd::{self, Aligned, Eight, Kernel};
 use crate::small::{self, ROWS_MAX, Square};
 
@@ -23,7 +23,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let kernel = Fuse { cov: &mut self.cov, rows, factor: &factor };
         let mut x = simd::run(self.isa, kernel).ok_or(bad(f64::NAN))?;
         if let Some(floor) = self.floor {
-            match self.model.to_ned_errors().and_then(|t| t.try_inverse()) {
+            match self.model.to_ned_errors().map(|t| from_ned_errors(&t)) {
                 None => self.cov.raise_to(&floor),
                 Some(inverse) => self.raise_ned(&floor, &inverse),
             }

@@ -146,7 +146,7 @@ fn fill<M, const CAP: usize>(rows: &mut Rows<CAP>, aid: &Aid, first: usize, view
             Coupling::Gyro(input) if first > 0 => {
                 let factor = match input.source {
                     Source::Unit => 1.0,
-                    Source::Component(k) => view.w_ib_b[k as usize],
+                    Source::Component(k) => k.of(&view.w_ib_b),
                 };
                 aid.h_gyro.column(input.axis as usize) * factor
             }

@@ -45,7 +45,11 @@ impl Open {
         let scalars = [f64::from(self.steps), self.dt_s, self.way_m];
         let vectors = [place, v, f, &self.dtheta, &self.dvel, gyro_psd, accel_psd];
         let mut packed = [0.0; Self::PACKED];
-        let numbers = scalars.iter().chain(vectors.into_iter().flat_map(|v| v.iter())).chain(c.iter()).chain(gravity.iter());
+        let numbers = scalars
+            .iter()
+            .chain(vectors.into_iter().flat_map(|v| v.iter()))
+            .chain(c.iter())
+            .chain(gravity.iter());
         for (p, x) in packed.iter_mut().zip(numbers) {
             *p = *x;
         }
@@ -60,7 +64,8 @@ impl Open {
         let Motion { place, v, f, c, gravity } = &mut open.motion;
         let ImuNoise { gyro_psd, accel_psd } = &mut open.extra;
         let vectors = [place, v, f, &mut open.dtheta, &mut open.dvel, gyro_psd, accel_psd];
-        let numbers = vectors.into_iter().flat_map(|v| v.iter_mut()).chain(c.iter_mut()).chain(gravity.iter_mut());
+        let numbers =
+            vectors.into_iter().flat_map(|v| v.iter_mut()).chain(c.iter_mut()).chain(gravity.iter_mut());
         for (x, p) in numbers.zip(&packed[3..]) {
             *x = *p;
         }

@@ -8,6 +8,7 @@ mod settings;
 mod shared;
 mod update;
 
+use settings::Kept;
 pub use settings::{Floor, Gate, Initial, Integrity, Settings, SolutionSd};
 #[cfg(feature = "monte-carlo")]
 pub use shared::Gain;
@@ -40,7 +41,7 @@ const NS: f64 = 1e9;
 pub struct Ekf<M, const CAP: usize> {
     model: M,
     layout: Layout<CAP>,
-    settings: Settings,
+    settings: Kept,
     gates: [[f64; ROWS_MAX + 1]; SOURCES],
     /// Lower bounds of the variances, where there are any.
     floor: Option<[f64; CAP]>,
@@ -85,7 +86,7 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
         let mut ekf = Self {
             model,
             layout,
-            settings: *settings,
+            settings: settings.into(),
             gates: settings.gates(),
             floor: floor(&layout, blocks, &settings.floor),
             jumps: layout.jumps(),

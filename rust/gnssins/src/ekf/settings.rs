@@ -35,6 +35,28 @@ pub struct Settings {
     pub feedback_ns: i64,
 }
 
+/// What a running filter keeps of its settings: gates and bounds stand in tables of their own.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kept {
+    pub(super) earth: EarthModel,
+    pub(super) noise: ImuNoise,
+    pub(super) lever_b_m: Vector3<f64>,
+    pub(super) integrity: Integrity,
+    pub(super) feedback_ns: i64,
+    pub(super) covariance_every: u32,
+    pub(super) order: Order,
+    pub(super) coning: Coning,
+}
+
+impl From<&Settings> for Kept {
+    fn from(s: &Settings) -> Self {
+        let Settings {
+            earth, noise, lever_b_m, integrity, feedback_ns, covariance_every, order, coning, ..
+        } = *s;
+        Self { earth, noise, lever_b_m, integrity, feedback_ns, covariance_every, order, coning }
+    }
+}
+
 /// What is dropped when a test fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

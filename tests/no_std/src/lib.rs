@@ -201,6 +201,9 @@ fn streamed<M: NavModel>(seconds: u32) -> Result<f64, Error> {
         nav.baro(black_box(&height), &mut told)?;
         nav.heading(black_box(&Heading { t_ns, heading_rad: 0.0, variance: 1e-4 }), &mut told)?;
     }
+    let mut saved = [0; 4096];
+    nav.save(&mut Writer::new(black_box(&mut saved)))?;
+    nav.restore(&mut Reader::new(black_box(&saved)))?;
     nav.finish(&mut told);
     let whole = told.used == 3 * seconds && told.events == 0;
     Ok(if whole { parked.error_m(&nav.ekf().solution().position) } else { 1000.0 })

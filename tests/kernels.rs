@@ -132,3 +132,23 @@ fn no_interval_at_all_is_refused() {
     let error = Ekf::<Ned, 24>::new(&set, &blocks(21), &initial(start)).unwrap_err();
     assert!(error.to_string().contains("covariance_every"), "{error}");
 }
+
+#[test]
+fn an_estimate_that_waits_is_carried_at_every_sample() {
+    let end = |covariance_every| {
+        let set = Settings { covariance_every, feedback_ns: 20_000_000_000, ..settings() };
+        let (start, legs) = fly::<Ned>(weaving, PLACE, 1503, DT_NS);
+        let mut ekf = Ekf::<Ned, 24>::new(&set, &blocks(21), &initial(start)).unwrap();
+        let mut rng = Rng(3);
+        for leg in &legs {
+            ekf.predict(leg.t_ns, &leg.delta.dtheta, &leg.delta.dvel).unwrap();
+            if leg.t_ns % 1_000_000_000 == 0 {
+                ekf.update(0, &noisy(leg.t_ns, &leg.truth, &mut rng)).unwrap();
+            }
+        }
+        ekf
+    };
+    // three samples after the fix at 15 s: an estimate left behind would miss 3 dt of velocity error
+    let (state, _) = apart(&end(10), &end(1));
+    assert!(state < 1e-5, "{state:e}");
+}

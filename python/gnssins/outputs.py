@@ -8,7 +8,14 @@ from typing import Final
 
 from gnssins.errors import ConfigError
 
-__all__ = ["FIGURE_FILES", "RESULT_FILES", "make_folder", "refuse_inputs", "refuse_no_folder"]
+__all__ = [
+    "FIGURE_FILES",
+    "RESULT_FILES",
+    "make_folder",
+    "refuse_inputs",
+    "refuse_no_file",
+    "refuse_no_folder",
+]
 
 #: Files of a saved result, in the order of their use.
 RESULT_FILES: Final = (
@@ -86,3 +93,27 @@ def make_folder(folder: Path) -> Path:
     refuse_no_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def refuse_no_file(file: Path) -> None:
+    """Raise if a file could not be written: before hours of work, not after.
+
+    Parameters
+    ----------
+    file : Path
+        File to be written or replaced.
+
+    Raises
+    ------
+    ConfigError
+        ``config.output_file``: it is a folder, or its folder does not exist.
+    """
+    if file.is_dir():
+        what = "is a folder"
+    elif not file.absolute().parent.is_dir():
+        what = f"its folder {file.parent} does not exist"
+    else:
+        return
+    raise ConfigError(
+        "config.output_file", f"{file}: {what}", "name a file in a folder that exists", {"file": str(file)}
+    )

@@ -89,7 +89,7 @@ def run_pieces(
         (``config.pieces``).
     InputError, DataQualityError, TimeOrderError, GapError, CovarianceError, NavigationError
         As :func:`gnssins.run`. What only the whole log can tell (share of bad rows, no common time with the fixes, a
-        unit that shows only later) is raised at its end; the folder then holds no result.
+        unit that shows only later) is raised at its end; nothing is written then.
 
     Notes
     -----

@@ -363,7 +363,23 @@ def test_a_failing_run_ends_the_set_with_its_error_and_number():
     assert raised.value.context["run"] == 0
 
 
+@pytest.mark.parametrize("option", ["--out", "--store"])
+def test_files_that_cannot_be_written_are_refused_before_the_first_run(tmp_path, capsys, option):
+    from gnssins import cli
+
+    for file, what in ((tmp_path, "is a folder"), (tmp_path / "none" / "x.json", "does not exist")):
+        sys.argv = ["gnssins", "montecarlo", "static", "--runs", "100000000", option, str(file)]
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        assert left.value.code == 1
+        assert what in capsys.readouterr().err
+
+
 def test_figures_out_of_range_are_refused():
+    with pytest.raises(ConfigError, match="run = -1: must lie between 0"):
+        simulated_run("static", seed=1, run=-1)
+    with pytest.raises(ConfigError, match=r"runs = 2\.5"):
+        monte_carlo("static", runs=2.5)
     for how in ({"runs": 0}, {"seed": -1}, {"jobs": 0}):
         with pytest.raises(ConfigError, match="must lie between"):
             monte_carlo("static", **how)
@@ -396,6 +412,21 @@ def test_shared_covariance_agrees_with_the_full_mode_where_errors_are_small():
         assert shared.nees.after(50.0)[name].mean == pytest.approx(group.mean, rel=0.03), name
     assert shared.nis.mean == pytest.approx(full.nis.mean, rel=0.01)
     assert shared.counts == full.counts
+
+
+def test_shared_covariance_flies_without_the_errors_that_the_filter_knows_beforehand():
+    # GIVEN a bias of 360 deg/h that the filter knows within 5 deg/h, THEN the nominal run, which has none, takes none off
+    tables = load_scenario("static").model_dump(mode="json", exclude_none=True)
+    bias = {"kind": "gyro_bias", "unit": "deg/h", "process": "constant", "value": [360.0] * 3}
+    tables["imu"]["error"] = [bias]
+    sim = Simulator(scenario_from_dict(tables))
+    filtering = scenario_config(simulated_run(sim))
+    filtering["filter"]["block"][0] |= {"initial": [360.0] * 3, "initial_sd": [5.0] * 3}
+    settings = Config.from_dict(filtering).replace(gnss={"gate_probability": "off", "max_accel_m_s2": 1e-9})
+    full = monte_carlo(sim, settings.replace(gnss={"max_accel_m_s2": 1e6}), 24, seed=4)
+    shared = monte_carlo(sim, settings, 24, seed=4, covariance="shared")
+    assert np.allclose(shared.position, full.position, rtol=0.03)
+    assert np.allclose(shared.sigma_rms, full.sigma_rms, rtol=0.02)
 
 
 def test_shared_covariance_does_not_hold_for_a_large_heading_error():

@@ -8,7 +8,7 @@ from typing import Literal, cast
 
 from gnssins.config import Config
 from gnssins.montecarlo import monte_carlo
-from gnssins.outputs import refuse_inputs
+from gnssins.outputs import refuse_inputs, refuse_no_file
 from gnssins.sim import Simulator
 from gnssins.storage import write_atomic
 from gnssins.terminal import message, plain, progress, put, put_json
@@ -30,7 +30,10 @@ def montecarlo(
     as_json: bool,
 ) -> None:
     """``gnssins montecarlo``."""
-    refuse_inputs([file for file in (out, store) if file is not None], [scenario, config])
+    files = [file for file in (out, store) if file is not None]
+    refuse_inputs(files, [scenario, config])
+    for file in files:
+        refuse_no_file(file)
     simulator = Simulator(scenario, variant=variant)
     settings = Config.load(config) if config is not None else None
     with progress(f"{simulator.scenario.name}, {runs} runs") as bar:
@@ -52,9 +55,6 @@ def montecarlo(
         "wall_s": found.wall_s,
         "run_steps": found.run_steps,
     }
-    if out is not None:
-        text = json.dumps(plain(figures), indent=2, ensure_ascii=False) + "\n"
-        write_atomic(out, lambda path: path.write_text(text, encoding="utf-8"))
     if as_json:
         put_json(figures)
     else:
@@ -62,6 +62,10 @@ def montecarlo(
         if found.computed:
             speed = f"{found.steps_per_s / 1e6:.2f} million run-steps per second"
             put(f"\n{found.computed} runs of {found.imu_rows} IMU rows in {found.wall_s:.1f} s: {speed}")
+    if out is not None:
+        text = json.dumps(plain(figures), indent=2, ensure_ascii=False) + "\n"
+        write_atomic(out, lambda path: path.write_text(text, encoding="utf-8"))
     if not found.complete:
         hint = f"; the same command goes on from {store}" if store is not None else ""
         message(f"interrupted: the first {found.runs} of {found.asked} runs are counted{hint}", "yellow")
+        raise KeyboardInterrupt

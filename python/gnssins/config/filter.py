@@ -242,9 +242,9 @@ class FilterConfig(Section):
         default=1,
         ge=1,
         le=100,
-        description="IMU intervals that the covariance goes through at once, with the mean of their dynamics; it is always "
-        "brought up to date where a measurement is fused; sigmas of outputs in between are so many samples old at most. "
-        "1: at every sample",
+        description="IMU intervals that the covariance goes through at once, with the mean of their dynamics; it is "
+        "always brought up to date where a measurement is fused; sigmas of outputs in between are so many samples old "
+        "at most. 1: at every sample; at most 100",
     )
     coning: Literal["two-sample", "one-sample", "third-order"] | None = Field(
         default=None,

@@ -6,7 +6,7 @@
 True
 
 The truth is made once and shared. Every run draws its sensor errors from counters, so that run k is the same on any
-number of threads, in any order and on any machine; what stays are sums, taken in the order of the runs.
+number of threads and in any order; what stays are sums, taken in the order of the runs.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -29,6 +30,7 @@ from gnssins.errors import ConfigError
 from gnssins.montecarlo.plan import Job, Prepared, nominal_dataset, nominal_start, prepare, truth_columns
 from gnssins.montecarlo.result import MonteCarlo, Sums
 from gnssins.montecarlo.store import Store
+from gnssins.outputs import refuse_no_file
 from gnssins.parallel import submitted
 from gnssins.runner import as_config
 from gnssins.sim import Scenario, Simulated, Simulator
@@ -65,7 +67,8 @@ def monte_carlo(
     scenario : str, path, Scenario or Simulator
         Packaged name, TOML file, model, or a simulator, such as ``gnssins.Simulator("car-loop", variant="open-sky")``.
     config : Config, mapping or path, optional
-        The filter; left out: the one that models the errors of the scenario. Errors are compared
+        The filter; left out: the one that models the errors of the scenario. What it says of files, of the kind of IMU
+        rows and of the initial state has no meaning here: these come from the scenario. Errors are compared
         ``[run] output_rate_hz`` times per second (left out: once), the covariance every
         ``[run] covariance_interval_s`` (left out: 10 s). Gaps come from ``[run] outages`` or from the scenario.
     runs : int
@@ -104,6 +107,8 @@ def monte_carlo(
     simulator = scenario if isinstance(scenario, Simulator) else Simulator(scenario)
     config = _matching(simulator) if config is None else as_config(config)
     job = Job.of(simulator, config, seed, covariance, after_s)
+    if store is not None:
+        refuse_no_file(Path(store))
     keep = Store(Path(store), job) if store is not None else None
     sums = keep.load() if keep is not None else Sums()
     prepared = prepare(simulator, config, job)
@@ -153,7 +158,10 @@ def simulated_run(scenario: Source, seed: int = 0, run: int = 0) -> Simulated:
     Simulated
         ``gnssins.run(config, simulated)`` gives the errors that the set counts for this run.
     """
-    _refuse(runs=run + 1, seed=seed)
+    _refuse(runs=1, seed=seed)
+    if not 0 <= run < MOST_RUNS:
+        text = f"run = {run}: must lie between 0 and {MOST_RUNS - 1}"
+        raise ConfigError("config.range", text, "runs count from 0", {"run": run})
     simulator = scenario if isinstance(scenario, Simulator) else Simulator(scenario)
     path, source = simulator.trajectory, simulator.scenario
     config = _matching(simulator)
@@ -230,7 +238,7 @@ def _refuse(*, runs: int, seed: int, jobs: int | None = None, covariance: str = 
     """Refuse figures out of their range."""
     limits = {"runs": (runs, 1, MOST_RUNS), "seed": (seed, 0, 2**64 - 1), "jobs": (jobs, 1, 4096)}
     for key, (value, least, most) in limits.items():
-        if value is not None and not least <= value <= most:
+        if value is not None and not (isinstance(value, Integral) and least <= value <= most):
             text = f"{key} = {value}: must lie between {least} and {most}"
             raise ConfigError("config.range", text, "give a whole number in this range", {key: value})
     if covariance not in ("full", "shared"):

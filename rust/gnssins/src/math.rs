@@ -2,7 +2,8 @@
 //!
 //! `f64::sin` and its relatives live in `std`, so a `no_std` crate must not name them. The rest of the crate
 //! calls these functions only: with feature `std` they are the methods of the standard library, without it
-//! the `libm` crate. The two may differ in the last bit; one build always gives the same bits.
+//! the `libm` crate. The two may differ in the last bit; one build always gives the same bits. Sine and cosine
+//! together ([`sin_cos`]) are those of `libm` in every build.
 
 macro_rules! one_argument {
     ($($(#[$doc:meta])* $name:ident, $method:ident, $libm:ident;)*) => {$(

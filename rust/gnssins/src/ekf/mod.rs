@@ -262,7 +262,8 @@ impl<M: NavModel, const CAP: usize> Ekf<M, CAP> {
             self.gather(strap, delta, extra)
         }
         .map_err(|e| at_time(e, t_ns))?;
-        if self.open.steps >= self.settings.covariance_every {
+        // an estimate that waits must be carried to the time of the state that it belongs to
+        if self.open.steps >= self.settings.covariance_every || self.waiting.is_some() {
             self.close(seen)?;
         }
         let second = |t: i64| t.div_euclid(1_000_000_000);

@@ -1,7 +1,7 @@
 //! Monte Carlo: the sensors of a simulated motion, the filter behind them, and sums over many runs.
 //!
 //! The truth is made once and shared. Every run draws its sensor errors from counters ([`normal`]), so that run k is the
-//! same on any number of threads, in any order and on any machine; it feeds the streaming [`crate::stream::Navigator`],
+//! same on any number of threads and in any order; it feeds the streaming [`crate::stream::Navigator`],
 //! and only sums stay ([`Sums`]). Sums are taken over chunks of [`CHUNK`] runs in the order of the runs, and the chunks
 //! are handed out in their order: whoever adds them up gets the same bits for any number of threads.
 //!

@@ -97,7 +97,7 @@ impl<M: NavModel, const CAP: usize> Feeder for Full<'_, M, CAP> {
     fn aid(&mut self, aid: &Observation) -> Result<(), Error> {
         match self.navigator.aid(aid, &mut self.ledger) {
             // more values after the end of the IMU rows than the queue holds
-            Err(Error::QueueFull { .. }) => {
+            Err(Error::QueueFull { t_ns, .. }) if Some(t_ns) >= self.plan.t_ns.last().copied() => {
                 self.navigator.finish(&mut self.ledger);
                 self.navigator.aid(aid, &mut self.ledger)
             }

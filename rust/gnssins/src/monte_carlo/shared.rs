@@ -5,8 +5,10 @@ use nalgebra::Vector3;
 use super::plan::Plan;
 use super::run::{Feeder, Row, draw, feed, filter};
 use super::statistics::{Claim, Groups, Ledger, Sums};
-use crate::ekf::{Ekf, Gain, SolutionSd};
+use crate::blocks::{BLOCK_MAX, Block};
+use crate::ekf::{Ekf, Gain, Integrity, SolutionSd};
 use crate::error::Error;
+use crate::imu::Calibration;
 use crate::meas::{Measurement, Observation, SOURCES, Source};
 use crate::nav::{NAV, NavModel};
 use crate::stream::Counts;
@@ -32,6 +34,9 @@ trait Splitting {
 struct Waiting {
     aids: Vec<Observation>,
     fed: usize,
+    /// Calibrations of the IMU that are known beforehand; the nominal trajectory has no error to take off.
+    gyro: Calibration,
+    accel: Calibration,
 }
 
 impl Waiting {
@@ -47,11 +52,10 @@ impl Waiting {
         Ok(())
     }
 
-    fn imu(&mut self, plan: &Plan, t_ns: i64, row: &Row, to: &mut impl Splitting) -> Result<(), Error> {
+    fn imu(&mut self, t_ns: i64, row: &Row, to: &mut impl Splitting) -> Result<(), Error> {
         let dt_s = |to_ns: i64, from_ns: i64| (to_ns - from_ns) as f64 / 1e9;
         let whole_s = dt_s(t_ns, to.now_ns());
-        let stream = &plan.filter.stream;
-        let own = [stream.gyro.increment(&row[0], whole_s), stream.accel.increment(&row[1], whole_s)];
+        let own = [self.gyro.increment(&row[0], whole_s), self.accel.increment(&row[1], whole_s)];
         let aids = core::mem::take(&mut self.aids);
         let begin = to.now_ns();
         for aid in aids {
@@ -112,7 +116,7 @@ impl<M: NavModel, const CAP: usize> Feeder for MakingFeeder<'_, M, CAP> {
     }
 
     fn imu(&mut self, t_ns: i64, row: &Row) -> Result<(), Error> {
-        self.waiting.imu(self.plan, t_ns, row, &mut self.making)
+        self.waiting.imu(t_ns, row, &mut self.making)
     }
 
     fn compare(&mut self, k: usize, _true_errors: &[f64]) {
@@ -134,7 +138,11 @@ impl<const CAP: usize> Nominal<CAP> {
             (plan.deviates(0), plan.aids.exact_values(&plan.ellipsoid, plan.epochs.len()));
         let mut settings = plan.filter.settings;
         settings.gate_probability = [None; SOURCES];
-        let mut ekf = Ekf::<M, CAP>::new(&settings, &plan.filter.blocks, &plan.initial)?;
+        settings.integrity = Integrity::default();
+        // what the filter knows of errors beforehand is none of the exact sensors
+        let blocks: Vec<Block> =
+            plan.filter.blocks.iter().map(|b| Block { initial: [0.0; BLOCK_MAX], ..*b }).collect();
+        let mut ekf = Ekf::<M, CAP>::new(&settings, &blocks, &plan.initial)?;
         ekf.set_attitude_form(plan.filter.attitude_form)?;
         let mut to = MakingFeeder {
             plan,
@@ -206,7 +214,7 @@ impl<M: NavModel, const CAP: usize> Feeder for SharedFeeder<'_, M, CAP> {
     fn imu(&mut self, t_ns: i64, row: &Row) -> Result<(), Error> {
         self.shared.counts[0].total += 1;
         self.shared.counts[0].used += 1;
-        self.waiting.imu(self.plan, t_ns, row, &mut self.shared)
+        self.waiting.imu(t_ns, row, &mut self.shared)
     }
 
     fn compare(&mut self, k: usize, true_errors: &[f64]) {
@@ -231,7 +239,9 @@ pub(super) fn shared<M: NavModel, const CAP: usize>(
     let (initial, _) = plan.start(&deviates);
     let ekf = filter::<M, CAP>(plan, &initial)?;
     let shared = Shared { nominal, ekf, ledger: Ledger::new(plan, groups, sums), counts: Default::default() };
-    let mut to = SharedFeeder { plan, waiting: Waiting::default(), shared };
+    let stream = &plan.filter.stream;
+    let waiting = Waiting { gyro: stream.gyro, accel: stream.accel, ..Waiting::default() };
+    let mut to = SharedFeeder { plan, waiting, shared };
     feed(plan, &plan.imu, deviates, &values, &mut to)?;
     let Shared { ledger, mut counts, .. } = to.shared;
     for aid in &to.waiting.aids {

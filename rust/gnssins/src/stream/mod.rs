@@ -478,7 +478,10 @@ impl<M: NavModel, const CAP: usize, const PENDING: usize> Navigator<M, CAP, PEND
     fn update(&mut self, row: u64, aid: &Observation, sink: &mut impl Sink) -> Result<Record, Error> {
         let t_ns = aid.t_ns();
         let jumps = aid.new_constellation();
-        self.ekf.close(&mut |transition| sink.transition(transition))?;
+        // a late row changes nothing
+        if t_ns >= self.ekf.t_ns() {
+            self.ekf.close(&mut |transition| sink.transition(transition))?;
+        }
         let record =
             self.ekf.update_with(row, aid, jumps, &mut |model, rows| sink.linearised(t_ns, model, rows))?;
         let Some(factor) = self.reset_factor(&record) else { return Ok(record) };

@@ -415,7 +415,7 @@ def test_shared_covariance_agrees_with_the_full_mode_where_errors_are_small():
 
 
 def test_shared_covariance_flies_without_the_errors_that_the_filter_knows_beforehand():
-    # GIVEN a bias of 360 deg/h that the filter knows within 5 deg/h, THEN the nominal run, which has none, takes none off
+    # GIVEN a bias of 360 deg/h known within 5 deg/h, THEN the nominal run, which has none, takes none off
     tables = load_scenario("static").model_dump(mode="json", exclude_none=True)
     bias = {"kind": "gyro_bias", "unit": "deg/h", "process": "constant", "value": [360.0] * 3}
     tables["imu"]["error"] = [bias]
